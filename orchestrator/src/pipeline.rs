@@ -3,9 +3,10 @@
 //! A *generation* is one set of processes and services. When a process dies, hangs or disagrees, the whole
 //! generation ends; its services have names that no later one uses, so no stale message arrives. The next generation
 //! starts after a pause and repeats the episodes that were under way; finished ones are in the log. A policy may be
-//! any program: an episode that it leaves unanswered, or answers with something invalid, is repeated by itself, and
-//! one that makes it crash is searched for (`queue`). An external memory that fails several times, without one of its
-//! episodes being finished in between, is excluded: the run goes on without it.
+//! any program: an episode that it leaves unanswered, or answers with something invalid, is repeated by itself. An episode
+//! that makes a policy, an external memory or an external world crash is searched for (`queue`). An external memory that
+//! fails on everything is excluded: the run goes on without it. A process that the user interrupts leaves, and the run
+//! waits for it: that counts as no failure.
 //!
 //! Results leave through [`Observer`]; nothing here writes or prints.
 
@@ -32,10 +33,10 @@ use crate::external_memory::ExternalMemory;
 use crate::lanes::{AnsweredRequest, FinishedEpisode, Lanes, Stamps};
 use crate::plan::PlannedEpisode;
 use generation::Generation;
-use queue::{CULPRITS_IN_A_ROW, EpisodeQueue};
+use queue::{Culpable, EpisodeQueue, MOST_FAILED_ALONE};
 
-/// Failures of an external memory, without one of its episodes being finished in between, after which it is excluded.
-const MEMORY_FAILURES: u32 = 3;
+/// Failures of an external memory, one after the other and none because of an episode, after which it is excluded.
+const IDLE_FAILURES: u32 = 3;
 
 /// Time that an external memory has to build itself from demonstrations; the memory process keeps it.
 const MEMORY_BUILD_TIMEOUT: Duration = Duration::from_secs(600);
@@ -77,6 +78,12 @@ impl PipelineOptions {
     /// The external memory with this index.
     fn memory(&self, index: u32) -> Option<&ExternalMemory> {
         self.memories.iter().find(|memory| u32::from(memory.index) == index)
+    }
+
+    /// Whether the world is the user's own.
+    fn has_external_world(&self) -> bool {
+        let is_own = |launch: &Launch| launch.role == Role::Sim && launch.command.is_some();
+        self.external_world.is_some() || self.launches.iter().any(is_own)
     }
 
     /// The process with this role and, for a world or an external memory, this index.
@@ -211,20 +218,21 @@ pub struct Ending {
 enum Failure {
     /// The next generation may do better.
     Retry(String),
-    /// As [`Failure::Retry`], and the policy is the cause.
-    Policy(String),
-    /// As [`Failure::Retry`], and this external memory is the cause.
-    ExternalMemory(ExternalName, String),
+    /// As [`Failure::Retry`], and this is the cause. One of its episodes may be the reason.
+    Of(Culpable, String),
+    /// A process that the user started was interrupted, and has left.
+    Left(String),
     /// No other generation would do better.
     Fatal(anyhow::Error),
 }
 
 impl Failure {
     /// That of `sender`.
-    fn of(sender: Participant, why: String) -> Self {
+    fn of(sender: Participant, options: &PipelineOptions, why: String) -> Self {
         match (sender.role, sender.memory) {
-            (_, Some(name)) => Self::ExternalMemory(name, why),
-            (Role::Policy, None) => Self::Policy(why),
+            (_, Some(name)) => Self::Of(Culpable::Memory(name), why),
+            (Role::Policy, None) => Self::Of(Culpable::Policy, why),
+            (Role::Sim, None) if options.has_external_world() => Self::Of(Culpable::World, why),
             (_, None) => Self::Retry(why),
         }
     }
@@ -232,7 +240,7 @@ impl Failure {
     /// That of a child which has exited.
     fn of_exit(exit: &ChildExit, options: &PipelineOptions) -> Self {
         let sender = options.participant(exit.role, exit.index.into());
-        Self::of(sender.unwrap_or(exit.role.into()), exit.to_string())
+        Self::of(sender.unwrap_or(exit.role.into()), options, exit.to_string())
     }
 }
 
@@ -286,10 +294,17 @@ struct PipelineRun<'a, 'w> {
     options: &'a PipelineOptions,
     /// External memories that the next generation finds started; none after the first.
     started: Children,
-    /// Failures of each external memory since one of its episodes was finished.
-    memory_failures: BTreeMap<ExternalName, u32>,
+    memory_failures: BTreeMap<ExternalName, MemoryFailures>,
     stop: &'a AtomicBool,
     observer: &'a mut dyn Observer,
+}
+
+/// Failures of an external memory since one of its episodes was finished.
+#[derive(Debug, Default)]
+struct MemoryFailures {
+    all: u32,
+    /// The last of them that came one after the other while it worked on no episode.
+    idle: u32,
 }
 
 /// Why a run stopped early, if it did, and the reports of its last generation.
@@ -311,18 +326,26 @@ impl PipelineRun<'_, '_> {
                     continue;
                 }
                 Err(Failure::Fatal(error)) => return Err(error),
-                Err(Failure::ExternalMemory(name, why)) => {
+                Err(Failure::Left(why)) => {
+                    self.queue.interrupted(under_way);
+                    failures = 0;
+                    why
+                }
+                Err(Failure::Of(Culpable::Memory(name), why)) => {
                     self.memory_failed(name, under_way, &why, &mut attach)?;
                     failures = 0;
                     why
                 }
-                Err(Failure::Policy(why)) if !under_way.is_empty() => {
+                Err(Failure::Of(process, why)) if !under_way.is_empty() => {
                     // Any number of times: each time fewer episodes can be the cause.
-                    self.policy_failed(under_way, &why)?;
+                    self.failed_by(process, under_way, &why);
+                    if self.queue.is_hopeless() {
+                        bail!("{why}\n{}. {RESUME}", on_everything(process));
+                    }
                     failures = 0;
                     why
                 }
-                Err(Failure::Retry(why) | Failure::Policy(why)) => {
+                Err(Failure::Retry(why) | Failure::Of(_, why)) => {
                     self.queue.failed(under_way);
                     let has_finished = self.queue.count_finished() > finished_before;
                     failures = if has_finished { 1 } else { failures + 1 };
@@ -339,8 +362,10 @@ impl PipelineRun<'_, '_> {
                 self.observer.problem(&why);
                 break;
             }
-            let width = self.queue.width();
-            let width = width.map(|width| format!(" with {width} episodes at a time"));
+            let width = self.queue.width().map(|width| match width {
+                1 => " with one episode at a time".to_owned(),
+                width => format!(" with {width} episodes at a time"),
+            });
             self.observer.problem(&format!("{why}; starting again{}", width.unwrap_or_default()));
             attach.generation += 1;
             clock::sleep(Duration::from_millis(100 << failures));
@@ -359,7 +384,15 @@ impl PipelineRun<'_, '_> {
         }
     }
 
-    /// Counts a failure of an external memory. After too many the memory takes part no longer: its episodes end without a
+    /// Searches for the episode of `under_way` because of which `process` has failed.
+    fn failed_by(&mut self, process: Culpable, under_way: Vec<PlannedEpisode>, why: &str) {
+        if let Some(culprit) = self.queue.failed_by(process, under_way, why) {
+            let problem = format!("{culprit}: given up, {process} fails on this episode alone");
+            self.observer.problem(&problem);
+        }
+    }
+
+    /// Counts a failure of an external memory. One that fails on everything takes part no longer: its episodes end without a
     /// result.
     fn memory_failed(
         &mut self,
@@ -368,39 +401,34 @@ impl PipelineRun<'_, '_> {
         why: &str,
         attach: &mut Attach,
     ) -> Result<()> {
-        let memory = MemoryKind::External(name);
-        let is_own = |episode: &PlannedEpisode| episode.key.condition.memory == memory;
-        let (own, others) = under_way.into_iter().partition(is_own);
+        let memory = Culpable::Memory(name);
+        let (own, others): (Vec<_>, Vec<_>) =
+            under_way.into_iter().partition(|episode| memory.serves(episode));
         self.queue.interrupted(others);
-        self.queue.failed(own);
-        let count = self.memory_failures.entry(name).or_default();
-        *count += 1;
-        if *count < MEMORY_FAILURES {
-            let state = MemoryState::Failed(*count);
-            return self.observer.memory_state(name, &state);
+        let failures = self.memory_failures.entry(name).or_default();
+        failures.all += 1;
+        failures.idle = if own.is_empty() { failures.idle + 1 } else { 0 };
+        let MemoryFailures { all, idle } = *failures;
+        self.failed_by(memory, own, why);
+        let is_hopeless = idle >= IDLE_FAILURES || self.queue.is_hopeless();
+        if !is_hopeless {
+            return self.observer.memory_state(name, &MemoryState::Failed(all));
         }
         let index = self.options.memories.iter().find(|known| known.name == name);
         attach.external_memories.retain(|&taken| Some(taken) != index.map(|memory| memory.index));
         let why = format!(
-            "the external memory {name} failed {count} times without finishing an episode, and is left out; the last \
+            "the external memory {name} failed {all} times without finishing an episode, and is left out; the last \
              time: {why}"
         );
-        let excluded = self.queue.exclude(memory, &why);
+        let excluded = self.queue.exclude(MemoryKind::External(name), &why);
         self.observer.problem(&format!("{excluded} episodes end without a result: {why}"));
         self.observer.memory_state(name, &MemoryState::Excluded(why))
     }
+}
 
-    fn policy_failed(&mut self, under_way: Vec<PlannedEpisode>, why: &str) -> Result<()> {
-        if let Some(culprit) = self.queue.failed_by_policy(under_way, why) {
-            let problem = format!("{culprit}: given up, the policy fails on this episode alone");
-            self.observer.problem(&problem);
-        }
-        if self.queue.culprits_in_a_row() >= CULPRITS_IN_A_ROW {
-            bail!(
-                "{why}\nThe policy failed on {CULPRITS_IN_A_ROW} different episodes, each running alone, and on \
-                 others together. {RESUME}"
-            );
-        }
-        Ok(())
-    }
+/// What is said of a process that fails on everything.
+fn on_everything(process: Culpable) -> String {
+    format!(
+        "{process} failed on {MOST_FAILED_ALONE} different episodes, each of which ran alone, and finished none in between"
+    )
 }

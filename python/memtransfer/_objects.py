@@ -19,6 +19,7 @@ import time
 import traceback
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, TypeAlias
@@ -142,6 +143,15 @@ class Objects:
             service.serve(folder, relay)
 
 
+def _native_service(served: Served) -> Callable[[str, bool], None]:
+    """Returns what serves an object in the folder of a run. It has no frame in Python: between `_Service._serve` and a method of the object
+    is none."""
+    code = code_of_object(served)
+    if isinstance(served, Policy):
+        return partial(_native.serve, served, code)
+    return partial(_native.serve_memory, maker_of(served), (*described(served), code))
+
+
 class _Service:
     """The service of one object."""
 
@@ -153,7 +163,7 @@ class _Service:
         self.ended = threading.Event()
         self.ended.set()
         self._broken = broken
-        self._code = code_of_object(served)
+        self._native = _native_service(served)
         # The run may start its processes again: the service before ends within a second, unless the object hangs.
         self._turn = threading.Lock()
         self._relay: socket.socket | None = None
@@ -189,13 +199,9 @@ class _Service:
 
     def _serve(self, folder: str) -> int:
         """Returns the exit status of a process that would serve the object."""
-        served = self.served
         with _prints_of(self):
             try:
-                if isinstance(served, Policy):
-                    _native.serve(served, self._code, folder, True)
-                else:
-                    _native.serve_memory(maker_of(served), (*described(served), self._code), folder, True)
+                self._native(folder, True)
             except (AttachError, BusError) as error:
                 self.tell(f"memtransfer: {error}\n")
                 return 2

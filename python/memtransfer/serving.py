@@ -9,8 +9,8 @@ import re
 import signal
 import sys
 import threading
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from types import CodeType, FrameType, FunctionType
@@ -29,22 +29,19 @@ def run(program: Program) -> None:
     """Serves the run that the environment variable `MEMTRANSFER_ATTACH` names, until the run ends.
 
     Returns when the run is over. If the run cannot be joined, exits with status 2 and a message; if a policy
-    breaks its contract, with status 1. SIGINT and SIGTERM exit with status 128 plus the signal's number; a memory
-    ends by the signal itself, unless the program has handlers of its own.
+    breaks its contract, with status 1. SIGINT and SIGTERM exit with status 128 plus the signal's number, unless the program
+    has handlers of its own. Whatever else the program's methods raise, `SystemExit` as well, costs the episode that they were called for.
+
+    Raises:
+        TypeError: `program` is an instance of a memory that cannot be copied: pass the class.
     """
-    in_main = threading.current_thread() is threading.main_thread()
-    previous = _set_handlers(program) if in_main else {}
-    try:
-        _serve(program, None)
-    except PolicyError as error:
-        sys.exit(_report(error, 1))
-    except MemTransferError as error:
-        sys.exit(_report(error, 2))
-    except KeyboardInterrupt:
-        sys.exit(128 + signal.SIGINT)
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+    with terminated():
+        try:
+            _serve(program, None)
+        except PolicyError as error:
+            sys.exit(_report(error, 1))
+        except MemTransferError as error:
+            sys.exit(_report(error, 2))
 
 
 def serve(program: Program, folder: str | Path) -> None:
@@ -53,10 +50,12 @@ def serve(program: Program, folder: str | Path) -> None:
     The folder of a memory is the one that `memtransfer run --memory external` prints.
 
     Raises:
+        KeyboardInterrupt: It was interrupted. The run waits until it is called again, and goes on with the same episodes.
         AttachError: The run cannot be joined, or the memory's name is not valid.
         BusError: The run's transport failed.
         PromptLogError: The run asks for a prompt log that cannot be created.
         PolicyError: The policy broke its contract.
+        TypeError: `program` is an instance of a memory that cannot be copied: pass the class.
     """
     _serve(program, os.fspath(folder))
 
@@ -77,8 +76,22 @@ def is_memory(program: object) -> TypeGuard[Memory | type[Memory]]:
 
 
 def maker_of(memory: Memory | type[Memory]) -> Callable[[], Memory]:
-    """Returns what makes the memory of a bank: the class, or deep copies of the instance."""
-    return memory if isinstance(memory, type) else partial(copy.deepcopy, memory)
+    """Returns what makes the memory of a bank: the class, or deep copies of the instance.
+
+    Raises:
+        TypeError: The instance cannot be copied.
+    """
+    if isinstance(memory, type):
+        return memory
+    try:
+        copy.deepcopy(memory)
+    except Exception as error:
+        name = type(memory).__name__
+        raise TypeError(
+            f"{name}(...) cannot be copied, and each bank of demonstrations gets a copy ({type(error).__name__}: {error}): "
+            f"pass the class: {name}, not {name}(...)"
+        ) from error
+    return partial(copy.deepcopy, memory)
 
 
 def described(memory: Memory | type[Memory]) -> tuple[str, str, str, bool, bool, bool, bool]:
@@ -187,16 +200,30 @@ def _names_in(code: CodeType) -> set[str]:
     return set(code.co_names).union(*map(_names_in, inner))
 
 
-def _set_handlers(program: Program) -> dict[int, signal._HANDLER]:
-    if isinstance(program, Policy):
-        return {signal.SIGTERM: signal.signal(signal.SIGTERM, _exit_on_signal)}
-    # Between two queries no Python code runs, so no Python handler would.
-    is_default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    return {signal.SIGINT: signal.signal(signal.SIGINT, signal.SIG_DFL)} if is_default else {}
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM, which ends a service as an interrupt does."""
 
 
-def _exit_on_signal(number: int, _frame: FrameType | None) -> None:
-    sys.exit(128 + number)
+def _terminate(_number: int, _frame: FrameType | None) -> None:
+    raise _Terminated
+
+
+@contextmanager
+def terminated() -> Generator[None, None, None]:
+    """Exits with status 128 plus the number of a SIGINT or SIGTERM that ends what the context does."""
+    in_main = threading.current_thread() is threading.main_thread()
+    is_default = in_main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    if is_default:
+        signal.signal(signal.SIGTERM, _terminate)
+    try:
+        yield
+    except _Terminated:
+        sys.exit(128 + signal.SIGTERM)
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)
+    finally:
+        if is_default:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _report(error: MemTransferError, status: int) -> int:

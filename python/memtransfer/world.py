@@ -39,6 +39,7 @@ from numpy.typing import NDArray
 from memtransfer import _native
 from memtransfer.declaration import Field, WorldDeclaration
 from memtransfer.errors import WorldError
+from memtransfer.serving import terminated
 
 __all__ = [
     "DONE",
@@ -352,10 +353,11 @@ def main(world: Callable[[], World]) -> None:
             made._cases = by_id
             return made
 
-        # While the world waits, no Python code runs, so no Python handler would.
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        # Where it reads standard input, no Python code runs while it waits, so no Python handler would.
+        if sys.argv[1:2] != ["serve"] and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
-        _native.world_main(of_lane, declared, tasks, sys.argv[1:])
+        with terminated():
+            _native.world_main(of_lane, declared, tasks, sys.argv[1:])
     except WorldError as error:
         print(f"memtransfer: {error}", file=sys.stderr)
         sys.exit(1)

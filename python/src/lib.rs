@@ -15,6 +15,7 @@ mod memory;
 mod policy;
 mod prompt;
 mod query;
+mod raised;
 mod recorded_run;
 mod results;
 mod serve;

@@ -6,12 +6,12 @@ use std::path::Path;
 use std::sync::Arc;
 
 use domain::ActionCode;
-use peer::WorldDeclaration;
 use peer::memory::{
     Demonstration, Episode, EpisodeEnd, Memory, MemoryDescription, MemoryError, MemoryItem,
     MemoryMethod, PlanPart, Query, Scope, Source, Step, Views,
 };
-use pyo3::exceptions::{PySystemExit, PyTypeError, PyValueError};
+use peer::{ServeError, WorldDeclaration};
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyBytes, PyList, PyString, PyTuple};
@@ -21,6 +21,7 @@ use crate::classes::Classes;
 use crate::declaration::DeclaredWorld;
 use crate::frame::Frame;
 use crate::query::{MemoryStep, Numbers, as_array};
+use crate::raised::{Interrupt, in_words, print};
 
 /// Name, version, scope, whether it uses embeddings, whether it looks at frames, whether it is deterministic, whether it
 /// learns, the files of its code.
@@ -33,6 +34,7 @@ const LENGTHS_FILE: &str = "steps-of-episodes.txt";
 pub(crate) struct PythonMethod {
     create: Py<PyAny>,
     description: MemoryDescription,
+    interrupt: Interrupt,
 }
 
 impl PythonMethod {
@@ -55,7 +57,13 @@ impl PythonMethod {
             sdk,
             code,
         };
-        Ok(Self { create: create.clone().unbind(), description })
+        let create = create.clone().unbind();
+        Ok(Self { create, description, interrupt: Interrupt::default() })
+    }
+
+    /// Takes the interrupt because of which serving has ended, if there is one.
+    pub(crate) fn take_interrupt(&self) -> Option<PyErr> {
+        self.interrupt.take()
     }
 }
 
@@ -69,15 +77,20 @@ impl MemoryMethod for PythonMethod {
             let object = self.create.bind(py).call0();
             object
                 .and_then(|object| Object::new(&object, DeclaredWorld::of(py, world)?))
-                .map_err(|raised| failure(py, &raised))
+                .map_err(|raised| failure(py, &raised, &self.interrupt))
         });
         Box::new(PythonMemory {
             object,
+            interrupt: self.interrupt.clone(),
             bank: None,
             lengths: Vec::new(),
             demonstrations: 0,
             observed: HashMap::new(),
         })
+    }
+
+    fn check(&self) -> Result<(), ServeError> {
+        self.interrupt.check()
     }
 }
 
@@ -85,6 +98,7 @@ impl MemoryMethod for PythonMethod {
 struct PythonMemory {
     /// The Python object, or why it could not be made.
     object: Result<Object, MemoryError>,
+    interrupt: Interrupt,
     /// Keeps the bank mapped as long as the memory exists.
     bank: Option<Arc<Bank>>,
     /// Number of steps of each demonstration, then of each episode that it has learned from.
@@ -136,7 +150,8 @@ impl PythonMemory {
     ) -> Result<T, MemoryError> {
         let object = self.object.as_ref().map_err(Clone::clone)?;
         Python::attach(|py| {
-            work(py, object.memory.bind(py), object).map_err(|raised| failure(py, &raised))
+            work(py, object.memory.bind(py), object)
+                .map_err(|raised| failure(py, &raised, &self.interrupt))
         })
     }
 
@@ -406,12 +421,11 @@ fn number(value: PyResult<Bound<'_, PyAny>>) -> PyResult<u32> {
     })
 }
 
-/// The failure that an exception is to the run, which adds the memory's name. The traceback goes to the log.
-fn failure(py: Python<'_>, raised: &PyErr) -> MemoryError {
-    // To print a SystemExit ends the process, which may be a notebook's.
-    match raised.is_instance_of::<PySystemExit>(py) {
-        true => raised.display(py),
-        false => raised.print(py),
+/// The failure that an exception is to the run, which adds the memory's name. The traceback goes to the log. An interrupt is kept, and
+/// ends serving.
+fn failure(py: Python<'_>, raised: &PyErr, interrupt: &Interrupt) -> MemoryError {
+    if !interrupt.keep(py, raised) {
+        print(py, raised);
     }
-    MemoryError::new(format_args!("raised {raised}"))
+    MemoryError::new(format_args!("raised {}", in_words(py, raised)))
 }

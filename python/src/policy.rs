@@ -2,7 +2,6 @@
 
 use domain::Outcome;
 use peer::{Answer, Answers, Batch, Decider, Decision, PinnedStep, RequestId, ServeError, Usage};
-use pyo3::exceptions::PyException;
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -10,6 +9,7 @@ use pyo3::types::{PyDict, PyList};
 use crate::classes::{Classes, error};
 use crate::declaration::DeclaredWorld;
 use crate::exchange;
+use crate::raised::{in_words, is_interrupt, print};
 use crate::step::Step;
 
 /// Exceptions in a row, without an answer in between, after which the run is asked to stop.
@@ -64,7 +64,10 @@ impl PythonPolicy {
 
     /// Ends serving because of `raised`.
     fn raise(&mut self, raised: PyErr) -> ServeError {
-        let error = ServeError::Policy(raised.to_string().into());
+        let error = match Python::attach(|py| is_interrupt(py, &raised)) {
+            true => ServeError::Interrupted,
+            false => ServeError::Policy(raised.to_string().into()),
+        };
         self.raised = Some(raised);
         error
     }
@@ -141,9 +144,8 @@ impl PythonPolicy {
         let batch = PyList::new(py, requests)?;
         let replies = match self.policy.bind(py).call_method1(intern!(py, "act"), (batch,)) {
             Ok(replies) => replies,
-            Err(raised) if raised.is_instance_of::<PyException>(py) => return Ok(Err(raised)),
-            // KeyboardInterrupt and SystemExit.
-            Err(raised) => return Err(raised),
+            Err(raised) if is_interrupt(py, &raised) => return Err(raised),
+            Err(raised) => return Ok(Err(raised)),
         };
         let broken = |problem: String| {
             Err(error(py, "PolicyError", format!("policy {} {problem}", self.name)))
@@ -156,8 +158,8 @@ impl PythonPolicy {
         }
         let replies: Vec<_> = match replies.try_iter().and_then(Iterator::collect) {
             Ok(replies) => replies,
-            Err(raised) if raised.is_instance_of::<PyException>(py) => return Ok(Err(raised)),
-            Err(raised) => return Err(raised),
+            Err(raised) if is_interrupt(py, &raised) => return Err(raised),
+            Err(raised) => return Ok(Err(raised)),
         };
         if replies.len() != requests.len() {
             return broken(format!(
@@ -177,8 +179,8 @@ impl PythonPolicy {
         raised: PyErr,
         answers: &Answers,
     ) -> PyResult<Bound<'py, PyAny>> {
-        raised.print(py);
-        let why = format!("policy {} raised {raised}", self.name);
+        print(py, &raised);
+        let why = format!("policy {} raised {}", self.name, in_words(py, &raised));
         self.failures += 1;
         if self.failures >= MAX_FAILURES_IN_A_ROW && !self.halted {
             self.halted = true;

@@ -45,7 +45,10 @@ pub(crate) fn serve_memory(
         Some(folder) => peer::memory::serve_until(&method, folder, until(generation)),
         None => peer::memory::serve_from_environment(&method),
     });
-    ended(py, served)
+    match method.take_interrupt() {
+        Some(raised) if served.is_err() => Err(raised),
+        _ => ended(py, served),
+    }
 }
 
 fn until(generation: bool) -> Until {
@@ -70,6 +73,7 @@ fn ended(py: Python<'_>, served: Result<(), ServeError>) -> PyResult<()> {
         | ServeError::Parent(_)
         | ServeError::Bus(BusError::Attach(_) | BusError::Taken { .. }) => "AttachError",
         ServeError::Bus(_)
+        | ServeError::Interrupted
         | ServeError::Spans(_)
         | ServeError::Frame(_)
         | ServeError::Frames(_)

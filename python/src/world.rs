@@ -2,15 +2,19 @@
 
 use case_book::{FailureKind, TaskFacts, WorldDeclaration};
 use domain::{ActionCode, FeedbackCode, Mismatch, State};
+use peer::ServeError;
 use peer::world::{
     CaseDeclaration, Environment, EpisodeBegin, Observed, Simulator, WorldFailure, program,
 };
+use pyo3::call::PyCallArgs;
+use pyo3::conversion::FromPyObjectOwned;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::{Map, Value};
 
 use crate::classes::error;
 use crate::declaration::read_declaration;
+use crate::raised::{Interrupt, in_words, print};
 
 /// What this package raises where a world breaks its contract.
 const WORLD_ERROR: &str = "WorldError";
@@ -38,11 +42,12 @@ pub(crate) fn world_main(
     let declaration = read_declaration(declaration).map_err(failed)?;
     let tasks = serde_json::from_str(tasks);
     let tasks = tasks.map_err(|problem| failed(format!("the cases are not valid: {problem}")))?;
-    let simulator = PythonSimulator { create: create.clone().unbind(), declaration, tasks };
+    let (create, interrupt) = (create.clone().unbind(), Interrupt::default());
+    let simulator = PythonSimulator { create, declaration, tasks, interrupt };
     let ended = py.detach(|| {
         program::run(&simulator, &arguments).map_err(|failure| in_one_sentence(&*failure))
     });
-    ended.map_err(failed)
+    ended.map_err(|failure| simulator.interrupt.take().unwrap_or_else(|| failed(failure)))
 }
 
 /// A failure with its causes.
@@ -56,6 +61,7 @@ struct PythonSimulator {
     create: Py<PyAny>,
     declaration: WorldDeclaration,
     tasks: Tasks,
+    interrupt: Interrupt,
 }
 
 impl Simulator for PythonSimulator {
@@ -81,22 +87,30 @@ impl Simulator for PythonSimulator {
 
     fn environment(&self) -> Result<Box<dyn Environment>, WorldFailure> {
         Python::attach(|py| {
-            let world = self.create.call0(py).map_err(|raised| failure(py, &raised))?;
-            Ok(Box::new(PythonEnvironment(world)) as Box<dyn Environment>)
+            let world = self.create.call0(py);
+            let world = world.map_err(|raised| failure(py, &raised, &self.interrupt))?;
+            let interrupt = self.interrupt.clone();
+            Ok(Box::new(PythonEnvironment { world, interrupt }) as Box<dyn Environment>)
         })
+    }
+
+    fn check(&self) -> Result<(), ServeError> {
+        self.interrupt.check()
     }
 }
 
 /// A `memtransfer.world.World`.
-struct PythonEnvironment(Py<PyAny>);
+struct PythonEnvironment {
+    world: Py<PyAny>,
+    interrupt: Interrupt,
+}
 
 /// What its methods return: state, feedback, sub-goals and all of them, failed, conflict, hash of the state.
 type Told = (Vec<f32>, u8, u32, u32, bool, bool, Option<u64>);
 
-fn observed(py: Python<'_>, told: PyResult<Py<PyAny>>) -> Result<Observed, WorldFailure> {
-    let told =
-        told.and_then(|told| told.extract::<Told>(py)).map_err(|raised| failure(py, &raised))?;
-    let (state, feedback, sub_goals, required, has_failed, conflict, state_hash) = told;
+fn observed(
+    (state, feedback, sub_goals, required, has_failed, conflict, state_hash): Told,
+) -> Result<Observed, WorldFailure> {
     Ok(Observed {
         state: State::new(&state)?,
         feedback: FeedbackCode(feedback),
@@ -109,46 +123,52 @@ fn observed(py: Python<'_>, told: PyResult<Py<PyAny>>) -> Result<Observed, World
 }
 
 /// The failure that an exception is to the run. The traceback goes to standard error, unless this package has raised it: then it
-/// says what is wrong.
-fn failure(py: Python<'_>, raised: &PyErr) -> WorldFailure {
-    let (kind, message) = (raised.get_type(py).name(), raised.value(py));
-    match kind.map(|kind| kind.to_string()).as_deref() {
-        Ok(WORLD_ERROR) => message.to_string().into(),
-        kind => {
-            raised.display(py);
-            format!("{}: {message}", kind.unwrap_or("an exception")).into()
-        }
+/// says what is wrong. An interrupt is kept, and ends serving.
+fn failure(py: Python<'_>, raised: &PyErr, interrupt: &Interrupt) -> WorldFailure {
+    let class = raised.get_type(py).name();
+    if class.is_ok_and(|class| class == WORLD_ERROR) {
+        return raised.value(py).to_string().into();
+    }
+    if !interrupt.keep(py, raised) {
+        print(py, raised);
+    }
+    in_words(py, raised).into()
+}
+
+impl PythonEnvironment {
+    /// Calls a method of the world, and takes what it returns.
+    fn call<T: for<'py> FromPyObjectOwned<'py>>(
+        &self,
+        method: &str,
+        arguments: impl for<'py> PyCallArgs<'py>,
+    ) -> Result<T, WorldFailure> {
+        Python::attach(|py| {
+            let told = self.world.bind(py).call_method1(method, arguments);
+            let told = told.and_then(|told| told.extract::<T>().map_err(Into::into));
+            told.map_err(|raised| failure(py, &raised, &self.interrupt))
+        })
     }
 }
 
 impl Environment for PythonEnvironment {
     fn reset(&mut self, begin: &EpisodeBegin<'_>) -> Result<Observed, WorldFailure> {
         let EpisodeBegin { case, start, is_blocked, mismatch, seed } = begin;
-        Python::attach(|py| {
-            let begin = (&case.id, start.name(), *is_blocked, mismatch.name(), *seed);
-            observed(py, self.0.call_method1(py, "_reset", begin))
-        })
+        let begin = (&case.id, start.name(), *is_blocked, mismatch.name(), *seed);
+        observed(self.call("_reset", begin)?)
     }
 
     fn step(&mut self, ActionCode(action): ActionCode) -> Result<Observed, WorldFailure> {
-        Python::attach(|py| observed(py, self.0.call_method1(py, "_step", (action,))))
+        observed(self.call("_step", (action,))?)
     }
 
     fn render(&mut self, width: u32, height: u32, pixels: &mut [u8]) -> Result<(), WorldFailure> {
-        Python::attach(|py| {
-            let slot = WritablePixels { address: pixels.as_mut_ptr() as usize, width, height };
-            // It raises an error if the world kept the array: the memory is published next, and must not change after that.
-            let drawn = self.0.call_method1(py, "_render", (slot,));
-            drawn.map(drop).map_err(|raised| failure(py, &raised))
-        })
+        let slot = WritablePixels { address: pixels.as_mut_ptr() as usize, width, height };
+        // It raises an error if the world kept the array: the memory is published next, and must not change after that.
+        self.call::<Py<PyAny>>("_render", (slot,)).map(drop)
     }
 
     fn facts(&mut self) -> Result<Map<String, Value>, WorldFailure> {
-        Python::attach(|py| {
-            let text =
-                self.0.call_method0(py, "_facts").and_then(|text| text.extract::<String>(py));
-            Ok(serde_json::from_str(&text.map_err(|raised| failure(py, &raised))?)?)
-        })
+        Ok(serde_json::from_str(&self.call::<String>("_facts", ())?)?)
     }
 }
 

@@ -691,7 +691,8 @@ macro_rules! message_table {
         text: [u8; 480],
     }
 
-    /// All to orchestrator, once, after [`Stop`]: totals of the process.
+    /// All to orchestrator, once, after [`Stop`]: totals of the process. One that the user started also sends it when it is
+    /// interrupted: it leaves, and the run waits until it attaches again.
     ShutdownReport, "memtransfer.ShutdownReport", "shutdown-report", 48 bytes,
         [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
         /// Code of the sender's [`Role`].

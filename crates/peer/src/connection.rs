@@ -73,7 +73,7 @@ pub trait Session {
         false
     }
 
-    /// Called when a wait has ended without a notification, a few times a second.
+    /// Called when a wait has ended without a notification, a few times a second, and before the first.
     ///
     /// # Errors
     /// When serving has to end.
@@ -191,8 +191,20 @@ impl Connection {
         }
     }
 
-    /// Serves until the generation ends.
+    /// Serves until the generation ends. A program that is interrupted says so to the orchestrator.
     pub(crate) fn serve<S: Service>(
+        &mut self,
+        service: &mut S,
+        run: &WatchedRun,
+    ) -> Result<End, ServeError> {
+        let ended = self.serve_until_end(service, run);
+        if let Ok(End::Stopped) | Err(ServeError::Interrupted) = ended {
+            self.send_shutdown_report()?;
+        }
+        ended
+    }
+
+    fn serve_until_end<S: Service>(
         &mut self,
         service: &mut S,
         run: &WatchedRun,
@@ -207,6 +219,7 @@ impl Connection {
             if let Some(next) = run.next(self.bus.attach())? {
                 return Ok(End::NextGeneration(next));
             }
+            session.idle()?;
             sleep(POLL_INTERVAL);
         }
         handshakes.send(&handshake)?;
@@ -225,7 +238,6 @@ impl Connection {
                 session.idle()?;
             }
         }
-        self.send_shutdown_report()?;
         Ok(End::Stopped)
     }
 

@@ -46,6 +46,9 @@ pub enum ServeError {
     /// The folder is not that of an external memory.
     #[error("{} is not the folder of an external memory of a run: {ATTACH_VARIABLE} names one", .0.display())]
     NotAMemoryFolder(PathBuf),
+    /// The user has interrupted the program: it leaves, and the run waits for it.
+    #[error("interrupted")]
+    Interrupted,
     /// The run ended without a stop message.
     #[error("the run in {} ended without a stop message", .0.display())]
     Abandoned(PathBuf),

@@ -17,6 +17,7 @@ use shm_types::process::{ProcessWatch, monotonic_ns};
 use shm_types::{Bus, BusError, HandshakeReceiver, NoteReceiver, Notifier, Receiver, Sender};
 use supervise::Children;
 
+use super::queue::Culpable;
 use super::vital_signs::VitalSigns;
 use super::{Failure, MemoryState, Participant, PipelineOptions, PipelineRun};
 use crate::lanes::{AnswerError, Turn};
@@ -44,6 +45,8 @@ pub(super) struct Generation {
     pub(super) inbox: Inbox,
     /// Facts that have arrived before the report that names them.
     pub(super) facts: Vec<Note>,
+    /// What processes have told at their end.
+    pub(super) shutdown_reports: BTreeMap<Participant, ShutdownReport>,
     /// What the heartbeats of the simulator and of memory say.
     pub(super) vital_signs: VitalSigns,
     /// When the policy last sent an answer that was awaited.
@@ -134,7 +137,7 @@ impl Generation {
                 // Only the policy receives these: a delivery that fails is its failure, and not because of this episode.
                 if let Err(error) = configs.send(&opening.policy) {
                     run.queue.interrupted(run.lanes.give_up(lane as u32).into_iter().collect());
-                    return Err(Failure::Policy(error.to_string()));
+                    return Err(Failure::Of(Culpable::Policy, error.to_string()));
                 }
             }
             let world = self.world_of(opening.world.lane);
@@ -246,7 +249,7 @@ impl Generation {
         mut self,
         run: &mut PipelineRun<'_, '_>,
     ) -> Result<BTreeMap<Participant, ShutdownReport>, Failure> {
-        let mut reports = BTreeMap::new();
+        let mut reports = std::mem::take(&mut self.shutdown_reports);
         // What a process sends is lost if it ends before its messages have been asked for once.
         self.receive_last(run)?;
         let asked = self.stops.send(&Stop::zeroed());
@@ -272,7 +275,7 @@ impl Generation {
         Ok(reports)
     }
 
-    /// The exit of a process, if one has exited: it is the cause of whatever else failed.
+    /// The exit of a process, if one has exited or was interrupted: it is the cause of whatever else failed.
     ///
     /// A policy or an external memory closes its queues before its process ends. In between, the processes that could not
     /// send to it seem to be the ones that failed. A policy that has closed its queues and does not end is the cause, too.
@@ -287,6 +290,9 @@ impl Generation {
                 return failure;
             }
             sleep(TICK);
+            if let Some(left) = self.left(options) {
+                return left;
+            }
             failure = self.exited(options).unwrap_or(failure);
             let has_policy_left = self.policy_configs.as_ref().is_some_and(|it| !it.is_complete());
             let may_leave = has_policy_left || !options.memories.is_empty();
@@ -295,7 +301,7 @@ impl Generation {
             let is_settled = !matches!(failure, Failure::Retry(_)) || !may_leave || was_killed;
             if !is_settled && has_policy_left && Instant::now() >= deadline {
                 let left = "the policy process has closed its queues and has not ended";
-                return Failure::Policy(left.to_owned());
+                return Failure::Of(Culpable::Policy, left.to_owned());
             }
             if is_settled || Instant::now() >= deadline {
                 return failure;

@@ -1,30 +1,62 @@
-//! Episodes that are left to run, how often each failed, and which one makes the policy fail.
+//! Episodes that are left to run, how often each failed, and which one makes a process fail.
 //!
-//! A policy that crashes or hangs takes every episode under way with it. If one of them is the cause, the same ones
-//! together would end the same way. So they become suspects: they run before all others and fewer at a time, half as
-//! many after each such failure, until one fails alone. That one is given up after [`SPOILED_ATTEMPTS`]; suspects that
-//! are finished are cleared, and when none is left, all lanes are used again. The order of episodes never changes
-//! their records.
+//! A policy, a world or an external memory that crashes or hangs takes every episode under way with it. If one of them is the
+//! cause, the same ones together would end the same way. So those that the process worked on become suspects: they run before
+//! all others and fewer at a time, half as many after each such failure, until one fails alone. That one is given up after
+//! [`SPOILED_ATTEMPTS`]; suspects that are finished are cleared, and when none is left, all lanes are used again. Between two
+//! attempts of an episode that fails alone others are tried alone, at the end also one that is no suspect: a process that fails
+//! on [`MOST_FAILED_ALONE`] of them in a row fails on everything. The order of episodes never changes their records.
 //!
 //! The episodes of a sequence run strictly one after the other: the next one waits until the one before is in the log, and
 //! is not run if that one has no result.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::fmt;
 
 use conditions::key::EpisodeKey;
-use domain::MemoryKind;
+use domain::{ExternalName, MemoryKind};
 
 use crate::plan::PlannedEpisode;
 
 /// Attempts at an episode when something else may be the cause of its failures.
 const ATTEMPTS: u32 = 12;
 
-/// Attempts at an episode that alone makes the policy fail.
+/// Attempts at an episode that alone makes a process fail.
 const SPOILED_ATTEMPTS: u32 = 3;
 
-/// Culprits that may be found one after the other without an episode being finished in between. A policy that fails on
-/// more of them fails on everything.
-pub(super) const CULPRITS_IN_A_ROW: u32 = 2;
+/// Different episodes on which a process may fail, each alone and none finished in between. A process that fails on so many
+/// fails on everything.
+pub(super) const MOST_FAILED_ALONE: usize = 4;
+
+/// What can fail because of an episode: what is the user's own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Culpable {
+    Policy,
+    /// All processes of an external world.
+    World,
+    Memory(ExternalName),
+}
+
+impl fmt::Display for Culpable {
+    /// As it is called in a sentence.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Policy => f.write_str("the policy"),
+            Self::World => f.write_str("the world"),
+            Self::Memory(name) => write!(f, "the external memory {name}"),
+        }
+    }
+}
+
+impl Culpable {
+    /// Whether it takes part in `episode`.
+    pub(super) fn serves(self, episode: &PlannedEpisode) -> bool {
+        match self {
+            Self::Policy | Self::World => true,
+            Self::Memory(name) => episode.key.condition.memory == MemoryKind::External(name),
+        }
+    }
+}
 
 /// Episodes that are left to run.
 #[derive(Debug, Default)]
@@ -36,8 +68,6 @@ pub(super) struct EpisodeQueue {
     search: Option<CulpritSearch>,
     unfinished: Vec<(PlannedEpisode, String)>,
     finished: u64,
-    /// Culprits found since an episode was finished.
-    culprits: u32,
 }
 
 /// Failed attempts at an episode.
@@ -45,18 +75,39 @@ pub(super) struct EpisodeQueue {
 struct FailedAttempts {
     /// Failures for any reason.
     all: u32,
-    /// Failures because of a process other than the policy.
+    /// Failures for which the episode cannot be the reason.
     by_others: u32,
-    /// Because the policy failed on this episode and nothing else.
+    /// Because a process failed on this episode and nothing else.
     spoiled: u32,
 }
 
-/// The search for the episode that makes the policy fail.
+/// The search for the episode that makes a process fail.
 #[derive(Debug)]
 struct CulpritSearch {
+    process: Culpable,
     suspects: BTreeSet<EpisodeKey>,
     /// Episodes that run at once.
     width: usize,
+    /// The episodes on which the process failed alone since it has finished one.
+    failed_alone: BTreeSet<EpisodeKey>,
+}
+
+impl CulpritSearch {
+    /// The place in `waiting` of the episode to begin: a suspect; if all of them fail alone, another episode, far from them
+    /// in the plan, to see whether the process fails on any.
+    fn next(&self, waiting: &VecDeque<PlannedEpisode>) -> Option<usize> {
+        let is_suspect = |episode: &PlannedEpisode| self.suspects.contains(&episode.key);
+        let is_tried = |episode: &PlannedEpisode| self.failed_alone.contains(&episode.key);
+        let is_other =
+            |episode: &PlannedEpisode| self.process.serves(episode) && !is_tried(episode);
+        let untried = waiting.iter().position(|episode| is_suspect(episode) && !is_tried(episode));
+        if self.failed_alone.is_empty() {
+            return untried;
+        }
+        untried
+            .or_else(|| waiting.iter().rposition(is_other))
+            .or_else(|| waiting.iter().position(is_suspect))
+    }
 }
 
 impl EpisodeQueue {
@@ -84,9 +135,9 @@ impl EpisodeQueue {
         self.finished
     }
 
-    /// Culprits found since an episode was finished.
-    pub(super) fn culprits_in_a_row(&self) -> u32 {
-        self.culprits
+    /// Whether the process that is searched for a culprit fails on everything.
+    pub(super) fn is_hopeless(&self) -> bool {
+        self.search.as_ref().is_some_and(|search| search.failed_alone.len() >= MOST_FAILED_ALONE)
     }
 
     /// Episodes that run at once during a search for a culprit.
@@ -106,20 +157,22 @@ impl EpisodeQueue {
 
     /// The episode to begin while `busy` are under way, if another one may begin.
     pub(super) fn next(&mut self, busy: usize) -> Option<PlannedEpisode> {
-        let Some(CulpritSearch { suspects, width }) = &self.search else {
-            return self.waiting.pop_front();
-        };
-        if busy >= *width {
+        let Some(search) = &self.search else { return self.waiting.pop_front() };
+        if busy >= search.width {
             return None;
         }
-        let suspect = self.waiting.iter().position(|episode| suspects.contains(&episode.key))?;
-        self.waiting.remove(suspect)
+        let next = search.next(&self.waiting)?;
+        self.waiting.remove(next)
     }
 
     /// `episode` is in the log. The next one of its sequence waits from now on, and continues from its snapshot.
     pub(super) fn finish(&mut self, episode: &PlannedEpisode) {
         self.finished += 1;
-        self.culprits = 0;
+        if let Some(search) = &mut self.search
+            && search.process.serves(episode)
+        {
+            search.failed_alone.clear();
+        }
         self.clear(&episode.key);
         let Some(part) = episode.part else { return };
         let next = self.later.get_mut(&part.sequence).and_then(VecDeque::pop_front);
@@ -142,7 +195,7 @@ impl EpisodeQueue {
         self.unfinished.extend(later.map(|episode| (episode, not_run.clone())));
     }
 
-    /// The policy failed on `episode` and nothing else. Returns whether the episode is given up.
+    /// A process failed on `episode` and nothing else. Returns whether the episode is given up.
     pub(super) fn spoiled(&mut self, episode: PlannedEpisode, why: &str) -> bool {
         let failures = self.failures.entry(episode.key.clone()).or_default();
         failures.all += 1;
@@ -174,7 +227,7 @@ impl EpisodeQueue {
         self.unfinished.len() - before
     }
 
-    /// A generation failed with `under_way`, and not because of the policy.
+    /// A generation failed with `under_way`, and not because of one of them.
     pub(super) fn failed(&mut self, under_way: Vec<PlannedEpisode>) {
         for episode in under_way {
             let failures = self.failures.entry(episode.key.clone()).or_default();
@@ -189,9 +242,11 @@ impl EpisodeQueue {
         }
     }
 
-    /// A generation failed with `under_way` because of the policy. Returns the culprit, if it was found and given up.
-    pub(super) fn failed_by_policy(
+    /// A generation failed because of `process`, which worked on the episodes `under_way`. Returns the culprit, if it was found
+    /// and given up.
+    pub(super) fn failed_by(
         &mut self,
+        process: Culpable,
         mut under_way: Vec<PlannedEpisode>,
         why: &str,
     ) -> Option<EpisodeKey> {
@@ -201,20 +256,29 @@ impl EpisodeQueue {
                 under_way.iter().map(|episode| episode.key.clone()).collect();
             self.interrupted(under_way);
             if !suspects.is_empty() {
-                self.search = Some(CulpritSearch { suspects, width });
+                let failed_alone = BTreeSet::new();
+                self.search = Some(CulpritSearch { process, suspects, width, failed_alone });
             }
             return None;
         }
         let culprit = under_way.pop()?;
         let key = culprit.key.clone();
+        let alone = CulpritSearch {
+            process,
+            suspects: BTreeSet::new(),
+            width: 1,
+            failed_alone: BTreeSet::new(),
+        };
+        let search = match &mut self.search {
+            Some(search) if search.process == process => search,
+            none_or_other => none_or_other.insert(alone),
+        };
         // It keeps running alone, as it did this time.
-        let alone = || CulpritSearch { suspects: BTreeSet::from([key.clone()]), width: 1 };
-        self.search.get_or_insert_with(alone).width = 1;
-        let why = format!("the policy fails whenever this episode runs, even alone: {why}");
-        self.spoiled(culprit, &why).then(|| {
-            self.culprits += 1;
-            key
-        })
+        search.width = 1;
+        search.suspects.insert(key.clone());
+        search.failed_alone.insert(key.clone());
+        let why = format!("{process} fails whenever this episode runs, even alone: {why}");
+        self.spoiled(culprit, &why).then_some(key)
     }
 
     /// `key` is no longer a suspect.
@@ -282,8 +346,9 @@ mod tests {
                     under_way.push_back(episode);
                 }
                 if under_way.iter().any(|episode| poisonous(episode.case_index)) {
-                    queue.failed_by_policy(under_way.into_iter().collect(), "it crashed");
-                    outcome.hopeless = queue.culprits_in_a_row() >= CULPRITS_IN_A_ROW;
+                    let under_way = under_way.into_iter().collect();
+                    queue.failed_by(Culpable::Policy, under_way, "it crashed");
+                    outcome.hopeless = queue.is_hopeless();
                     break;
                 }
                 let Some(done) = under_way.pop_front() else { break };
@@ -315,10 +380,22 @@ mod tests {
     }
 
     #[test]
+    fn poisonous_episodes_in_a_row_do_not_look_like_a_policy_that_fails_on_everything() {
+        for first in [0, 5, 20, 30] {
+            let outcome = run(40, |n| (first..first + 5).contains(&n));
+            assert_eq!(outcome.given_up, (first..first + 5).collect::<Vec<_>>());
+            assert_eq!((outcome.finished.len(), outcome.hopeless), (35, false));
+        }
+        // Where nothing else is left, each has its three attempts.
+        let outcome = run(3, |_| true);
+        assert_eq!((outcome.given_up.len(), outcome.hopeless), (3, false));
+    }
+
+    #[test]
     fn a_policy_that_fails_on_everything_is_not_tried_for_ever() {
         let outcome = run(100, |_| true);
         assert!(
-            outcome.hopeless && outcome.generations <= 16,
+            outcome.hopeless && outcome.generations <= 9,
             "{} generations",
             outcome.generations
         );
@@ -347,6 +424,36 @@ mod tests {
     }
 
     #[test]
+    fn a_search_for_the_culprit_of_a_memory_tries_no_episode_of_another_one() {
+        let name: ExternalName = "top-3".parse().unwrap();
+        let mut all = episodes(8);
+        for episode in all.iter_mut().skip(4) {
+            episode.key.condition.memory = MemoryKind::External(name);
+        }
+        let mut queue = EpisodeQueue::new(all);
+        let under_way: Vec<_> = std::iter::from_fn(|| queue.next(0)).take(6).collect();
+        let (own, others): (Vec<_>, Vec<_>) =
+            under_way.into_iter().partition(|episode| Culpable::Memory(name).serves(episode));
+        queue.interrupted(others);
+        let mut tried = Vec::new();
+        let mut next = own;
+        while !next.is_empty() {
+            queue.failed_by(Culpable::Memory(name), next, "it crashed");
+            if queue.is_hopeless() {
+                break;
+            }
+            next = queue.next(0).into_iter().collect();
+            tried.extend(next.iter().map(|episode| episode.case_index));
+        }
+        // One after the other: the two that were under way, then those from the end.
+        tried.sort_unstable();
+        assert_eq!(tried, [4, 5, 6, 7]);
+        assert_eq!(queue.exclude(MemoryKind::External(name), "it crashes"), 4);
+        assert_eq!((queue.width(), queue.unfinished.len()), (None, 4));
+        assert_eq!(std::iter::from_fn(|| queue.next(0)).count(), 4);
+    }
+
+    #[test]
     fn failures_of_others_allow_more_attempts_and_a_failure_by_chance_costs_nothing() {
         let mut queue = EpisodeQueue::new(episodes(3));
         for _ in 0..ATTEMPTS - 1 {
@@ -356,7 +463,7 @@ mod tests {
         }
         let under_way: Vec<_> = std::iter::from_fn(|| queue.next(0)).collect();
         assert_eq!(queue.attempt(&under_way[0]), ATTEMPTS);
-        queue.failed_by_policy(under_way, "killed");
+        queue.failed_by(Culpable::Policy, under_way, "killed");
         assert_eq!((queue.width(), queue.unfinished.len()), (Some(1), 0));
         while let Some(episode) = queue.next(0) {
             assert!(queue.next(1).is_none(), "one at a time");

@@ -80,6 +80,7 @@ impl Generation {
             vital_signs: VitalSigns::new(attach.worlds, monotonic_ns()),
             decided_ns: 0,
             facts: Vec::new(),
+            shutdown_reports: BTreeMap::new(),
             recalled_ns: BTreeMap::new(),
             notifiers,
             bus,
@@ -121,7 +122,7 @@ impl Generation {
                 if facts.contains_key(&sender) || !self.notifiers.contains_key(&sender) {
                     let why = unexpected(sender);
                     return Err(match sender.memory {
-                        Some(name) => Failure::ExternalMemory(name, why),
+                        Some(_) => Failure::of(sender, run.options, why),
                         None => failed(why),
                     });
                 }
@@ -167,8 +168,8 @@ impl Generation {
             }
             if !late.is_empty() && Instant::now() > deadline {
                 let why = not_ready(&late, run.options);
-                return Err(match late.iter().find_map(|one| one.memory) {
-                    Some(name) if late.len() == 1 => Failure::ExternalMemory(name, why),
+                return Err(match late[..] {
+                    [one] if one.memory.is_some() => Failure::of(one, run.options, why),
                     _ => failed(why),
                 });
             }
@@ -182,7 +183,7 @@ impl Generation {
         name: ExternalName,
         run: &PipelineRun<'_, '_>,
     ) -> Result<(), Failure> {
-        let failed = |why| Failure::ExternalMemory(name, why);
+        let failed = |why| Failure::of(name.into(), run.options, why);
         let Some(memory) = run.options.memories.iter().find(|memory| memory.name == name) else {
             return Ok(());
         };
@@ -261,7 +262,7 @@ fn start_processes(
 }
 
 /// Whether a process is started by the user, at any time.
-fn is_started_by_user(one: Participant, options: &PipelineOptions) -> bool {
+pub(super) fn is_started_by_user(one: Participant, options: &PipelineOptions) -> bool {
     match one.memory {
         Some(name) => {
             options.memories.iter().any(|memory| memory.name == name && memory.command.is_none())
@@ -358,7 +359,7 @@ pub(super) fn read_handshake(
     let Ok(role) = role(handshake.role) else { return Ok(None) };
     let Some(sender) = options.participant(role, handshake.index) else { return Ok(None) };
     let facts = read_facts(handshake, sender).map_err(|error| match sender.memory {
-        Some(name) => Failure::ExternalMemory(name, format!("{error:#}")),
+        Some(_) => Failure::of(sender, options, format!("{error:#}")),
         None => Failure::Fatal(error),
     })?;
     Ok(Some((sender, facts)))

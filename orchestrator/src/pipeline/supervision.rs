@@ -7,7 +7,7 @@ use shm_types::message::{ErrorReport, ErrorReportKind, Role, read_text};
 use shm_types::process::monotonic_ns;
 
 use super::generation::{Generation, role};
-use super::startup::{of_unknown_sender, read_handshake, unexpected};
+use super::startup::{is_started_by_user, of_unknown_sender, read_handshake, unexpected};
 use super::{Failure, MEMORY_BUILD_TIMEOUT, Participant, PipelineOptions, PipelineRun};
 use crate::lanes::PendingAnswer;
 
@@ -17,7 +17,12 @@ impl Generation {
         &mut self,
         run: &mut PipelineRun<'_, '_>,
     ) -> Result<Option<String>, Failure> {
-        let halted = self.read_error_reports(run)?;
+        // What others report follows from its leaving.
+        let error_reports = self.inbox.error_reports.drain()?;
+        if let Some(left) = self.left(run.options) {
+            return Err(left);
+        }
+        let halted = self.read_error_reports(error_reports, run)?;
         if halted.is_some() {
             return Ok(halted);
         }
@@ -40,7 +45,7 @@ impl Generation {
                 run.observer.problem(&of_unknown_sender(&handshake));
                 continue;
             };
-            return Err(Failure::of(sender, unexpected(sender)));
+            return Err(Failure::of(sender, run.options, unexpected(sender)));
         }
         self.check_overdue(run)?;
         Ok(None)
@@ -69,21 +74,19 @@ impl Generation {
                 continue;
             }
             if role == Role::Memory
-                && let Some(why) = self.vital_signs.simulator_hangs(since_ns, now)
+                && let Some((world, why)) = self.vital_signs.simulator_hangs(since_ns, now)
             {
-                return Err(Failure::Retry(why));
+                return Err(Failure::of(world, run.options, why));
             }
             // The memory process answers for an external memory, too.
             let process = if process.memory.is_some() { role.into() } else { process };
-            let (process, seconds) = (process.in_words(), waited.as_secs());
-            let overdue = format!("{process} has not answered for {seconds} s (--step-timeout)");
-            if role != Role::Policy {
-                return Err(Failure::Retry(format!("{overdue} and seems to hang")));
-            }
+            let (name, seconds) = (process.in_words(), waited.as_secs());
+            let overdue = format!("{name} has not answered for {seconds} s (--step-timeout)");
             // A policy that meanwhile answered other episodes, or this one with something unusable, is alive: only
             // this episode is given up. A later answer to it is ignored.
-            if self.decided_ns <= since_ns && unusable == 0 {
-                return Err(Failure::Policy(format!("{overdue} and seems to hang")));
+            if role != Role::Policy || (self.decided_ns <= since_ns && unusable == 0) {
+                let why = format!("{overdue} and seems to hang");
+                return Err(Failure::of(process, run.options, why));
             }
             let Some(episode) = run.lanes.give_up(lane) else { continue };
             let why = match unusable {
@@ -106,9 +109,13 @@ impl Generation {
     }
 
     /// Handles error reports. Returns why the run has to stop early, if one says so.
-    fn read_error_reports(&self, run: &mut PipelineRun<'_, '_>) -> Result<Option<String>, Failure> {
+    fn read_error_reports(
+        &self,
+        reports: Vec<ErrorReport>,
+        run: &mut PipelineRun<'_, '_>,
+    ) -> Result<Option<String>, Failure> {
         let mut halted = None;
-        for report in self.inbox.error_reports.drain()? {
+        for report in reports {
             let role = role(report.role).ok();
             let sender = role.and_then(|role| run.options.participant(role, report.index));
             let text = read_text(&report.text, report.text_len).unwrap_or("an unreadable message");
@@ -191,20 +198,18 @@ impl Generation {
         if waits.role != Role::Memory {
             return Ok(());
         }
-        if let Some(why) = self.vital_signs.simulator_is_silent(monotonic_ns()) {
-            return Err(Failure::Retry(why));
+        if let Some((world, why)) = self.vital_signs.simulator_is_silent(monotonic_ns()) {
+            return Err(Failure::of(world, run.options, why));
         }
         if silence < run.options.memory_timeout {
             return Ok(());
         }
         let seconds = silence.as_secs();
-        Err(Failure::ExternalMemory(
-            name,
-            format!(
-                "the external memory {name} has not answered anything for {seconds} s (--memory-timeout) and seems to \
-                 hang: {what}"
-            ),
-        ))
+        let why = format!(
+            "the external memory {name} has not answered anything for {seconds} s (--memory-timeout) and seems to \
+             hang: {what}"
+        );
+        Err(Failure::of(name.into(), run.options, why))
     }
 
     /// The failure that a process's exit means, if one has exited.
@@ -214,8 +219,22 @@ impl Generation {
                 Role::Policy => "the external policy".to_owned(),
                 _ => sender.in_words(),
             };
-            return Some(Failure::of(sender, format!("{which} has exited")));
+            return Some(Failure::of(sender, options, format!("{which} has exited")));
         }
         self.children.exited().map(|exit| Failure::of_exit(&exit, options))
+    }
+
+    /// The failure that it means if a process that the user started has sent its shutdown report without being asked to: the user
+    /// has interrupted it.
+    pub(super) fn left(&mut self, options: &PipelineOptions) -> Option<Failure> {
+        // What cannot be received shows in other ways.
+        for report in self.inbox.shutdown_reports.drain().unwrap_or_default() {
+            let role = role(report.role).ok();
+            let sender = role.and_then(|role| options.participant(role, report.index));
+            self.shutdown_reports.extend(sender.map(|sender| (sender, report)));
+        }
+        let mut senders = self.shutdown_reports.keys();
+        let left = senders.find(|&&sender| is_started_by_user(sender, options))?;
+        Some(Failure::Left(format!("{} was interrupted, and has left the run", left.in_words())))
     }
 }

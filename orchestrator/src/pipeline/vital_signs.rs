@@ -59,35 +59,41 @@ impl VitalSigns {
         self.memory.progress_ns
     }
 
-    /// Whether a world is silent while memory is not, and how that shows.
-    pub(super) fn simulator_is_silent(&self, now_ns: u64) -> Option<String> {
+    /// The world that is silent while memory is not, if one is, and how that shows.
+    pub(super) fn simulator_is_silent(&self, now_ns: u64) -> Option<(Participant, String)> {
         let passed = |since: u64| Duration::from_nanos(now_ns.saturating_sub(since));
-        let (world, sim) = self.worlds.iter().min_by_key(|(_, signs)| signs.heard_ns)?;
+        let (&world, sim) = self.worlds.iter().min_by_key(|(_, signs)| signs.heard_ns)?;
         let silence = passed(sim.heard_ns);
         let is_memory_alive = passed(self.memory.heard_ns) < silence / 2;
-        let (world, seconds) = (world.in_words(), silence.as_secs());
+        let (name, seconds) = (world.in_words(), silence.as_secs());
         (silence >= SILENCE && is_memory_alive).then(|| {
-            format!(
-                "{world} has not reported for {seconds} s and seems to hang; memory waits for its frames"
-            )
+            let why = format!(
+                "{name} has not reported for {seconds} s and seems to hang; memory waits for its frames"
+            );
+            (world, why)
         })
     }
 
-    /// Whether an answer of memory that is awaited since `since_ns` is overdue because of a world, and how that shows. A
-    /// world that has no room for frames, because an external memory pins them, cannot be distinguished from one that hangs.
-    pub(super) fn simulator_hangs(&self, since_ns: u64, now_ns: u64) -> Option<String> {
+    /// The world because of which an answer of memory that is awaited since `since_ns` is overdue, if one is, and how that
+    /// shows. A world that has no room for frames, because an external memory pins them, cannot be distinguished from one that hangs.
+    pub(super) fn simulator_hangs(
+        &self,
+        since_ns: u64,
+        now_ns: u64,
+    ) -> Option<(Participant, String)> {
         if let Some(silent) = self.simulator_is_silent(now_ns) {
             return Some(silent);
         }
-        self.worlds.iter().find_map(|(world, sim)| {
+        self.worlds.iter().find_map(|(&world, sim)| {
             let idle = Duration::from_nanos(now_ns.saturating_sub(sim.progress_ns.max(since_ns)));
             (sim.waiting > 0 && sim.progress_ns <= since_ns && idle >= SILENCE).then(|| {
-                format!(
+                let why = format!(
                     "{} has rendered none of {} views for {} s and seems to hang; memory waits for its frames",
                     world.in_words(),
                     sim.waiting,
                     idle.as_secs()
-                )
+                );
+                (world, why)
             })
         })
     }
@@ -110,7 +116,8 @@ mod tests {
     }
 
     fn hangs(beats: &[(Role, u64, u64, u64)], since: u64, now: u64) -> Option<String> {
-        signs(beats).simulator_hangs(since * 1_000_000_000, now * 1_000_000_000)
+        let hangs = signs(beats).simulator_hangs(since * 1_000_000_000, now * 1_000_000_000);
+        hangs.map(|(_, why)| why)
     }
 
     #[test]
@@ -135,7 +142,8 @@ mod tests {
         ] {
             signs.heard(sender, &Heartbeat::zeroed(), second * 1_000_000_000);
         }
-        let found = signs.simulator_is_silent(120_000_000_000).unwrap();
+        let (world, found) = signs.simulator_is_silent(120_000_000_000).unwrap();
+        assert_eq!(world, Participant::world(1));
         assert!(found.starts_with("the sim process 1 has not reported for 110 s"), "{found}");
     }
 

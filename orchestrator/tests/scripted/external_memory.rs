@@ -257,22 +257,22 @@ fn an_external_memory_that_works_takes_part_and_says_what_it_has_no_say_in() {
 }
 
 #[test]
-fn an_external_memory_that_fails_three_times_is_left_out_and_the_run_goes_on() {
+fn an_external_memory_that_fails_on_everything_is_left_out_and_the_run_goes_on() {
     let (seen, ending) = run_with_memory(Host::Waits, "sleep 0.5; exit 7", |_| ());
-    let said = ["failed 3 times without finishing an episode", "exit status 7"];
+    let said = ["times without finishing an episode, and is left out", "exit status 7"];
     check_only_the_memory_suffers(&seen, &ending, &said);
     assert!(seen.states.iter().all(|(name, _)| name.as_str() == MEMORY));
     let states: Vec<_> = seen.states.iter().map(|(_, state)| state).collect();
-    assert!(matches!(
-        states[..],
-        [MemoryState::Failed(1), MemoryState::Failed(2), MemoryState::Excluded(_)]
-    ));
+    let [failed @ .., MemoryState::Excluded(_)] = &states[..] else { panic!("{states:?}") };
+    assert!(failed.len() >= 2, "{states:?}");
+    let counts = (1..).map(MemoryState::Failed);
+    assert!(failed.iter().zip(counts).all(|(state, count)| **state == count), "{states:?}");
 }
 
 #[test]
 fn an_external_memory_that_answers_nothing_counts_as_failed() {
     let (seen, ending) = run_with_memory(Host::GivesUp(400), "exec sleep 300", |_| ());
-    let said = ["failed 3 times", "has not answered anything", "--memory-timeout"];
+    let said = ["and is left out", "has not answered anything", "--memory-timeout"];
     check_only_the_memory_suffers(&seen, &ending, &said);
     assert!(seen.generations >= 3, "{}", seen.generations);
 }

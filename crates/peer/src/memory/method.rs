@@ -6,6 +6,7 @@ use case_book::WorldDeclaration;
 use shm_types::MemoryDescription;
 
 use super::Memory;
+use crate::error::ServeError;
 
 /// Makes memories.
 pub trait MemoryMethod {
@@ -15,6 +16,14 @@ pub trait MemoryMethod {
 
     /// A memory for one bank of demonstrations in `world`, which says what states, actions and feedback mean.
     fn create(&self, world: &Arc<WorldDeclaration>) -> Box<dyn Memory + '_>;
+
+    /// Called before anything is sent, and a few times a second while there is nothing to do.
+    ///
+    /// # Errors
+    /// When serving has to end, for example with [`ServeError::Interrupted`]: what a memory returned last is not sent then.
+    fn check(&self) -> Result<(), ServeError> {
+        Ok(())
+    }
 }
 
 /// A [`MemoryMethod`] of a description and a function that makes memories.

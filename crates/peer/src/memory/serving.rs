@@ -57,13 +57,14 @@ pub fn serve_until(
         description.code = own_code().map_err(ServeError::OwnCode)?;
     }
     description.write(&folder).map_err(BusError::from)?;
-    wait_for_run(run)?;
+    wait_for_run(run, method)?;
     serve_role(&mut MemoryService { method, description, index }, run, until)
 }
 
 /// Waits until the run in `folder` can be joined.
-fn wait_for_run(folder: &Path) -> Result<(), ServeError> {
+fn wait_for_run(folder: &Path, method: &dyn MemoryMethod) -> Result<(), ServeError> {
     loop {
+        method.check()?;
         match Attach::read(folder) {
             Ok(_) => return Ok(()),
             Err(AttachError::File { .. }) if registry::is_alive(folder) => {

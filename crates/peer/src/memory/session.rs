@@ -127,6 +127,7 @@ impl<'s> MemorySession<'s> {
             memory.build(&parts.demonstrations())?;
             Ok(memory.store_bytes().unwrap_or(0))
         });
+        self.method.check()?;
         let mut message = ExternalBuilt { bank: id, ..Zeroable::zeroed() };
         match built {
             Ok(store_bytes) => {
@@ -246,6 +247,7 @@ impl<'s> MemorySession<'s> {
         let frame = connection.frame(message.frame)?;
         let memory = self.memories.get_mut(&running.bank).and_then(Option::as_mut);
         let answer = running.answer(message, &self.world, frame.as_ref(), memory, self.window);
+        self.method.check()?;
         running.failure = answer.as_ref().err().cloned();
         let id = RequestId { lane, episode, step };
         self.send(id, answer.unwrap_or_else(UnsentAnswer::failed), received_ns)?;
@@ -296,7 +298,9 @@ impl<'s> MemorySession<'s> {
     fn store(&mut self, message: &ExternalStore) -> Result<(), ServeError> {
         let bank = message.bank;
         let mut answer = ExternalStored { bank, ..Zeroable::zeroed() };
-        match self.save_or_load(message) {
+        let stored = self.save_or_load(message);
+        self.method.check()?;
+        match stored {
             Ok(store_bytes) => answer.store_bytes = store_bytes,
             Err(error) => {
                 tracing::warn!(bank, %error, "the memory cannot be saved or loaded");
@@ -542,5 +546,9 @@ impl Session for MemorySession<'_> {
 
     fn progress(&self) -> (u64, u64) {
         (self.answered, 0)
+    }
+
+    fn idle(&mut self) -> Result<(), ServeError> {
+        self.method.check()
     }
 }

@@ -58,7 +58,7 @@ pub trait Decider {
     /// later, in any order, from any thread. Until then its lane has no other request.
     ///
     /// # Errors
-    /// When the policy cannot go on and serving has to end.
+    /// When the policy cannot go on and serving has to end; with [`ServeError::Interrupted`] the run waits for it.
     fn take(&mut self, batch: &Batch<'_>, answers: &Answers) -> Result<(), ServeError>;
 
     /// As [`Policy::reset`]. An open request of the lane is dropped.
@@ -69,7 +69,7 @@ pub trait Decider {
     /// Called a few times a second while there is nothing to do.
     ///
     /// # Errors
-    /// When serving has to end.
+    /// When serving has to end, as for [`Self::take`].
     fn idle(&mut self) -> Result<(), ServeError> {
         Ok(())
     }

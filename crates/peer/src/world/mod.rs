@@ -31,6 +31,8 @@ pub use simulator::{
     CaseDeclaration, Environment, EpisodeBegin, Observed, Simulator, TrajectoryName,
 };
 
+use crate::error::ServeError;
+
 /// Why something of a world cannot go on.
 pub type WorldFailure = Box<dyn std::error::Error + Send + Sync>;
 
@@ -83,6 +85,14 @@ pub trait World {
 
     /// What `view` shows.
     fn picture(&self, view: Self::View) -> Self::Picture;
+
+    /// Called after each failure, and a few times a second.
+    ///
+    /// # Errors
+    /// When serving has to end: the failure is not reported then.
+    fn check(&self) -> Result<(), ServeError> {
+        Ok(())
+    }
 
     /// The views to render before the first step, for a run that asks for that: those that most episodes show.
     fn first_views(&self) -> Vec<Self::View> {

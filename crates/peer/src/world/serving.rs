@@ -75,9 +75,15 @@ pub(super) fn serve_watched<W: World>(
     let mut session = WorldSession::new(bus, world)?;
     let outcome = open(session.world).map_err(ServeError::from);
     let outcome = outcome.and_then(|setup| session.serve_until_stop(setup, warm_views, run));
-    if let Err(error) = &outcome {
-        session.reporter.report(error);
-        session.wakeups.send_to_all()?;
+    // An interrupt is the reason of what fails after it.
+    let outcome = outcome.or_else(|error| session.world.check().and(Err(error)));
+    match &outcome {
+        Ok(_) => {}
+        Err(ServeError::Interrupted) => session.send_shutdown_report()?,
+        Err(error) => {
+            session.reporter.report(error);
+            session.wakeups.send_to_all()?;
+        }
     }
     outcome
 }
@@ -198,6 +204,7 @@ impl<'a, W: World> WorldSession<'a, W> {
                 }
                 last_look = Instant::now();
             }
+            self.world.check()?;
             match self.turn(&mut pool) {
                 Ok(Duration::ZERO) => {}
                 Ok(sleep) => drop(self.bus.listener().wait(sleep.min(longest))?),
@@ -205,17 +212,21 @@ impl<'a, W: World> WorldSession<'a, W> {
                 Err(error) => return Err(error),
             }
         }
+        self.send_shutdown_report()?;
+        Ok(End::Stopped)
+    }
+
+    fn send_shutdown_report(&mut self) -> Result<(), BusError> {
         self.bus.sender()?.send(&ShutdownReport {
             role: Role::Sim as u32,
-            index,
+            index: self.bus.index().into(),
             frames_rendered: self.frames_rendered,
             frames_evicted: self.frames_evicted,
             pixel_bytes_copied: self.pixel_bytes_copied,
             error_reports: self.reporter.count().into(),
             ..Zeroable::zeroed()
         })?;
-        self.wakeups.send_to_all()?;
-        Ok(End::Stopped)
+        self.wakeups.send_to_all()
     }
 
     /// Renders the first views. All are resident afterwards, and none is pinned.
@@ -335,7 +346,8 @@ impl<'a, W: World> WorldSession<'a, W> {
     }
 
     /// Reports why there is no answer to a message about an episode.
-    fn refuse(&mut self, lane: u32, episode: u64, refusal: Refusal) -> Result<(), BusError> {
+    fn refuse(&mut self, lane: u32, episode: u64, refusal: Refusal) -> Result<(), ServeError> {
+        self.world.check()?;
         match refusal {
             Refusal::Message(bad) => self.reporter.report(bad),
             Refusal::Episode(why) => self.reporter.fail_episode(lane, episode, &why)?,

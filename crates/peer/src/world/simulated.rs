@@ -18,6 +18,7 @@ use super::stage::{Stage, StageBegin, check, is_complete};
 use super::{
     Moment, Refusal, RenderSetup, RenderTask, RenderWorker, Renderers, World, WorldFailure,
 };
+use crate::error::ServeError;
 
 /// A picture of an environment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -294,6 +295,10 @@ impl<S: Simulator + ?Sized> World for SimulatedWorld<'_, S> {
 
     fn picture(&self, view: EnvironmentView) -> EnvironmentView {
         view
+    }
+
+    fn check(&self) -> Result<(), ServeError> {
+        self.simulator.check()
     }
 }
 

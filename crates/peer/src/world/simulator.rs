@@ -9,6 +9,7 @@ use serde::Deserialize;
 use serde_json::{Map, Value};
 
 use super::WorldFailure;
+use crate::error::ServeError;
 
 /// A world for which the SDK does the rest: it writes the case book by acting out the expert's trajectories, runs an
 /// environment for each lane, checks the order of steps, and renders into shared memory.
@@ -42,6 +43,14 @@ pub trait Simulator {
     /// # Errors
     /// When it cannot be made.
     fn environment(&self) -> Result<Box<dyn Environment>, WorldFailure>;
+
+    /// Called in a run after each failure of an environment, and a few times a second.
+    ///
+    /// # Errors
+    /// When serving has to end, for example with [`ServeError::Interrupted`]: the failure is not reported then.
+    fn check(&self) -> Result<(), ServeError> {
+        Ok(())
+    }
 }
 
 /// A simulator of one episode at a time.

@@ -1,0 +1,73 @@
+//! Exceptions of a user's code, and the interrupts among them.
+//!
+//! Whatever the code raises is a failure of the episode that it was called for, `SystemExit` as well. Only a `KeyboardInterrupt` is not: it
+//! ends serving, and the caller of `serve` gets it.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use peer::ServeError;
+use pyo3::exceptions::{PyKeyboardInterrupt, PySystemExit};
+use pyo3::prelude::*;
+
+/// Whether an exception is an interrupt.
+pub(crate) fn is_interrupt(py: Python<'_>, raised: &PyErr) -> bool {
+    raised.is_instance_of::<PyKeyboardInterrupt>(py)
+}
+
+/// Prints the traceback of an exception, which goes to the log.
+pub(crate) fn print(py: Python<'_>, raised: &PyErr) {
+    // To print a SystemExit ends the process, which may be a notebook's.
+    match raised.is_instance_of::<PySystemExit>(py) {
+        true => raised.display(py),
+        false => raised.print(py),
+    }
+}
+
+/// An exception in words: its class, and its message if it has one.
+pub(crate) fn in_words(py: Python<'_>, raised: &PyErr) -> String {
+    let class = raised
+        .get_type(py)
+        .name()
+        .map_or_else(|_| "an exception".to_owned(), |name| name.to_string());
+    match raised.value(py).str().map(|message| message.to_string()) {
+        Ok(message) if message.is_empty() => class,
+        Ok(message) => format!("{class}: {message}"),
+        Err(_) => format!("{class}, whose message cannot be read"),
+    }
+}
+
+/// An interrupt that came while user code ran, until serving ends because of it.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Interrupt(Arc<Mutex<Option<PyErr>>>);
+
+impl Interrupt {
+    /// Keeps an exception if it is an interrupt. Returns whether it is.
+    pub(crate) fn keep(&self, py: Python<'_>, raised: &PyErr) -> bool {
+        let is_interrupt = is_interrupt(py, raised);
+        if is_interrupt {
+            *self.lock() = Some(raised.clone_ref(py));
+        }
+        is_interrupt
+    }
+
+    /// Handles signals that have come while no Python code ran.
+    ///
+    /// # Errors
+    /// When there is an interrupt: serving has to end.
+    pub(crate) fn check(&self) -> Result<(), ServeError> {
+        let mut kept = self.lock();
+        if kept.is_none() {
+            *kept = Python::attach(|py| py.check_signals()).err();
+        }
+        if kept.is_some() { Err(ServeError::Interrupted) } else { Ok(()) }
+    }
+
+    /// Takes the interrupt, if there is one.
+    pub(crate) fn take(&self) -> Option<PyErr> {
+        self.lock().take()
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, Option<PyErr>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
