@@ -10,14 +10,18 @@ guide is `docs/inspect.md` of the project.
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+import uuid
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from memtransfer import _native
 from memtransfer._extras import missing
+from memtransfer._program import dying_with_this_process
 from memtransfer.codes import Outcome
 from memtransfer.errors import MemTransferError
 from memtransfer.policy import Policy
@@ -33,6 +37,8 @@ try:
     import anyio.to_thread
     from inspect_ai import Task, task
     from inspect_ai.dataset import Sample
+    from inspect_ai.event import SampleLimitEvent
+    from inspect_ai.log import transcript
     from inspect_ai.model import (
         ChatMessage,
         ChatMessageSystem,
@@ -122,20 +128,30 @@ def episode(suite: str, image_budget: int = IMAGE_BUDGET, out: str | None = None
     """Runs the episode of a sample."""
 
     async def solve(state: TaskState, generate: Generate) -> TaskState:
-        with tempfile.TemporaryDirectory(prefix="memtransfer-inspect-") as scratch:
-            run = Path(out or scratch, f"{state.sample_id}.{state.epoch}").absolute()
-            command = [str(program()), "run", "--suite", suite, "--cases", state.metadata["case"]]
-            for name, value in state.metadata["flags"].items():
-                command += [f"--{name}", value]
-            command += ["--runs", "1", "--seed", str(state.epoch), "--lanes", "1", "--fresh"]
-            command += ["--policy", "external", "--step-timeout", str(_PATIENCE_SECONDS)]
-            policy = _Model(image_budget)
-            log = await _execute([*command, "--out", str(run)], policy)
+        name = f"memtransfer-inspect-{uuid.uuid4().hex}" if out is None else f"{state.sample_id}.{state.epoch}"
+        run = Path(out or tempfile.gettempdir(), name).absolute()
+        command = [str(program()), "run", "--suite", suite, "--cases", state.metadata["case"]]
+        for flag, value in state.metadata["flags"].items():
+            command += [f"--{flag}", value]
+        # An epoch is a repetition of the same run: only the seeds of its episodes differ.
+        command += ["--runs", str(state.epoch), "--repetition", str(state.epoch), "--lanes", "1", "--fresh"]
+        command += ["--policy", "external", "--step-timeout", str(_PATIENCE_SECONDS), "--out", str(run)]
+        if out is None:
+            command.append("--discard")
+        policy = _Model(image_budget)
+        try:
+            log = await _execute(dying_with_this_process(command), policy)
             if policy.raised is not None:
                 raise policy.raised
             state.metadata["episode"] = _result(run, log)
-        state.messages = policy.messages
-        state.output = policy.output
+        finally:
+            # Inspect scores and logs a sample that one of its limits stops, too.
+            state.metadata["steps"] = policy.answers
+            state.output = policy.output
+            if policy.messages:
+                state.messages = policy.messages
+            if out is None:
+                shutil.rmtree(run, ignore_errors=True)
         state.completed = True
         return state
 
@@ -150,10 +166,19 @@ def episode(suite: str, image_budget: int = IMAGE_BUDGET, out: str | None = None
     }
 )
 def episode_scorer() -> Scorer:
-    """The result of the episode: success, success weighted by path length, steps."""
+    """The result of the episode: success, success weighted by path length, steps. An episode that a limit of Inspect stops is not
+    finished, and counts as failed. One that an error stops has no score."""
 
-    async def score(state: TaskState, target: Target) -> Score:
-        episode = state.metadata["episode"]
+    async def score(state: TaskState, target: Target) -> Score | None:
+        episode = state.metadata.get("episode")
+        if episode is None:
+            limits = [event for event in transcript().events if isinstance(event, SampleLimitEvent)]
+            if not limits:
+                return None
+            return Score(
+                value={"success": 0.0, "spl": 0.0, "steps": float(state.metadata.get("steps", 0))},
+                explanation=f"The episode was not finished, and counts as failed: {limits[-1].message}",
+            )
         value = {name: float(episode[name]) for name in ("success", "spl", "steps")}
         return Score(value=value, answer=episode["ending"])
 
@@ -169,6 +194,8 @@ class _Model(Policy):
         self.messages: list[ChatMessage] = []
         self.output = ModelOutput()
         self.raised: Exception | None = None
+        self.answers = 0
+        self.stop: Callable[[], None] = lambda: None
 
     def facts(self) -> dict[str, str]:
         return {"model": str(get_model()), "prompt": VERSION}
@@ -183,8 +210,10 @@ class _Model(Policy):
             output = anyio.from_thread.run(_model().generate, messages)
         except Exception as error:  # Inspect decides what it means for the sample.
             self.raised = error
+            self.stop()
             return Failed(f"{type(error).__name__}: {error}")
         self.messages, self.output = [*messages, output.message], output
+        self.answers += 1
         tokens = output.usage
         usage = Usage(
             prompt_tokens=tokens.input_tokens if tokens else None,
@@ -226,7 +255,9 @@ def _messages(prompt: Prompt) -> list[ChatMessage]:
 
 async def _execute(command: Sequence[str], policy: _Model) -> str:
     """Executes a run with `policy`. Returns what it printed about itself."""
-    process = await anyio.open_process(command, stdout=subprocess.DEVNULL)
+    # An interrupt of the terminal is for Inspect, which ends the run.
+    process = await anyio.open_process(command, stdout=subprocess.DEVNULL, start_new_session=True)
+    policy.stop = partial(anyio.from_thread.run_sync, process.terminate)
     log: list[str] = []
     try:
         folder = await _folder(process, log)
