@@ -10,12 +10,15 @@ guide is `docs/inspect.md` of the project.
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import subprocess
 import tempfile
 import uuid
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
+from concurrent.futures import CancelledError, Future
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -141,12 +144,11 @@ def episode(suite: str, image_budget: int = IMAGE_BUDGET, out: str | None = None
         policy = _Model(image_budget)
         try:
             log = await _execute(dying_with_this_process(command), policy)
-            if policy.raised is not None:
-                raise policy.raised
             state.metadata["episode"] = _result(run, log)
         finally:
             # Inspect scores and logs a sample that one of its limits stops, too.
-            state.metadata["steps"] = policy.answers
+            if "episode" not in state.metadata:
+                state.metadata["steps"] = policy.answers
             state.output = policy.output
             if policy.messages:
                 state.messages = policy.messages
@@ -185,17 +187,25 @@ def episode_scorer() -> Scorer:
     return score
 
 
+@dataclass(frozen=True)
+class _Question:
+    """What the policy asks the model."""
+
+    messages: list[ChatMessage]
+    reply: Future[ModelOutput]
+    """Cancelled when the solver ends before."""
+
+
 class _Model(Policy):
-    """Asks the model that Inspect evaluates. Used in a worker thread of the solver."""
+    """Has the solver ask the model that Inspect evaluates, in the task that Inspect limits and cancels. Used in a worker thread."""
 
     def __init__(self, image_budget: int) -> None:
         self.image_budget = image_budget
         self.name = "inspect"
+        self.questions, self._asked = anyio.create_memory_object_stream[_Question](math.inf)
         self.messages: list[ChatMessage] = []
         self.output = ModelOutput()
-        self.raised: Exception | None = None
         self.answers = 0
-        self.stop: Callable[[], None] = lambda: None
 
     def facts(self) -> dict[str, str]:
         return {"model": str(get_model()), "prompt": VERSION}
@@ -205,15 +215,12 @@ class _Model(Policy):
 
     def _ask(self, request: Request) -> Answer:
         prompt = render(request, self.image_budget)
-        messages = _messages(prompt)
+        question = _Question(_messages(prompt), Future())
         try:
-            output = anyio.from_thread.run(_model().generate, messages)
-        except Exception as error:  # Inspect decides what it means for the sample.
-            self.raised = error
-            self.stop()
-            return Failed(f"{type(error).__name__}: {error}")
-        self.messages, self.output = [*messages, output.message], output
-        self.answers += 1
+            anyio.from_thread.run_sync(self.questions.send_nowait, question)
+            output = question.reply.result()
+        except (anyio.BrokenResourceError, CancelledError):
+            return Failed("Inspect has stopped the sample")
         tokens = output.usage
         usage = Usage(
             prompt_tokens=tokens.input_tokens if tokens else None,
@@ -227,6 +234,18 @@ class _Model(Policy):
         answer = Outcome.REFUSED if refused else read_answer(output.completion, cut_off, request.world)
         rest: dict[str, Any] = {"images": prompt.images_sent, "usage": usage}
         return Decision(None, answer, **rest) if isinstance(answer, Outcome) else Decision(answer, **rest)
+
+    async def answer(self) -> None:
+        """Answers questions until the run ends. What the model raises ends the policy, too."""
+        with self._asked as questions:
+            async for question in questions:
+                try:
+                    output = await _model().generate(question.messages)
+                    self.messages, self.output = [*question.messages, output.message], output
+                    self.answers += 1
+                    question.reply.set_result(output)
+                finally:
+                    question.reply.cancel()
 
 
 def _model() -> Model:
@@ -254,31 +273,54 @@ def _messages(prompt: Prompt) -> list[ChatMessage]:
 
 
 async def _execute(command: Sequence[str], policy: _Model) -> str:
-    """Executes a run with `policy`. Returns what it printed about itself."""
-    # An interrupt of the terminal is for Inspect, which ends the run.
+    """Executes a run with `policy`. Returns what it printed about itself.
+
+    Raises what the model raises, once the run has stopped.
+    """
+    # An interrupt of the terminal is for Inspect, which stops the run.
     process = await anyio.open_process(command, stdout=subprocess.DEVNULL, start_new_session=True)
-    policy.stop = partial(anyio.from_thread.run_sync, process.terminate)
     log: list[str] = []
+    raised: Exception | None = None
     try:
         folder = await _folder(process, log)
         async with anyio.create_task_group() as group:
             group.start_soon(_read, process, log)
             if folder is not None:
-                # Of its own, because it is occupied until the run ends.
-                thread = anyio.CapacityLimiter(1)
+                group.start_soon(_serve, policy, folder, log)
                 try:
-                    await anyio.to_thread.run_sync(
-                        serve, policy, folder, abandon_on_cancel=True, limiter=thread
-                    )
-                except MemTransferError as error:
-                    log.append(str(error))
+                    await policy.answer()
+                except Exception as error:
+                    # Inspect decides what it means for the sample. The group would wrap it.
+                    raised = error
+                    _stop(process)
+                except BaseException:
+                    _stop(process)
+                    raise
         await process.wait()
     finally:
-        if process.returncode is None:
-            process.terminate()
-            with anyio.CancelScope(shield=True):
-                await process.wait()
+        _stop(process)
+        with anyio.CancelScope(shield=True):
+            await process.wait()
+    if raised is not None:
+        raise raised
     return "".join(log)
+
+
+def _stop(process: anyio.abc.Process) -> None:
+    if process.returncode is None:
+        with suppress(ProcessLookupError):
+            process.terminate()
+
+
+async def _serve(policy: _Model, folder: str, log: list[str]) -> None:
+    """Serves `policy` until the run ends, also when it is cancelled: the thread uses the run's shared memory."""
+    # Of its own, because it is occupied until the run ends.
+    thread = anyio.CapacityLimiter(1)
+    with policy.questions:
+        try:
+            await anyio.to_thread.run_sync(serve, policy, folder, limiter=thread)
+        except MemTransferError as error:
+            log.append(str(error))
 
 
 async def _folder(process: anyio.abc.Process, log: list[str]) -> str | None:
