@@ -10,7 +10,6 @@ guide is `docs/inspect.md` of the project.
 from __future__ import annotations
 
 import json
-import math
 import shutil
 import subprocess
 import tempfile
@@ -202,7 +201,8 @@ class _Model(Policy):
     def __init__(self, image_budget: int) -> None:
         self.image_budget = image_budget
         self.name = "inspect"
-        self.questions, self._asked = anyio.create_memory_object_stream[_Question](math.inf)
+        self.questions, self._asked = anyio.create_memory_object_stream[_Question](1)
+        self._last: _Question | None = None
         self.messages: list[ChatMessage] = []
         self.output = ModelOutput()
         self.answers = 0
@@ -217,7 +217,7 @@ class _Model(Policy):
         prompt = render(request, self.image_budget)
         question = _Question(_messages(prompt), Future())
         try:
-            anyio.from_thread.run_sync(self.questions.send_nowait, question)
+            anyio.from_thread.run_sync(self._send, question)
             output = question.reply.result()
         except (anyio.BrokenResourceError, CancelledError):
             return Failed("Inspect has stopped the sample")
@@ -235,17 +235,23 @@ class _Model(Policy):
         rest: dict[str, Any] = {"images": prompt.images_sent, "usage": usage}
         return Decision(None, answer, **rest) if isinstance(answer, Outcome) else Decision(answer, **rest)
 
+    def _send(self, question: _Question) -> None:
+        self.questions.send_nowait(question)
+        self._last = question
+
     async def answer(self) -> None:
         """Answers questions until the run ends. What the model raises ends the policy, too."""
-        with self._asked as questions:
-            async for question in questions:
-                try:
+        try:
+            with self._asked as questions:
+                async for question in questions:
                     output = await _model().generate(question.messages)
                     self.messages, self.output = [*question.messages, output.message], output
                     self.answers += 1
                     question.reply.set_result(output)
-                finally:
-                    question.reply.cancel()
+        finally:
+            # Also one that has not been received. There is no more than one, and the next cannot be sent.
+            if self._last is not None:
+                self._last.reply.cancel()
 
 
 def _model() -> Model:
