@@ -59,14 +59,24 @@ def _work(plan: bytes, unit: int, program: str, flags: Sequence[str]) -> bytes:
         draft = folder / f"plan.json.{os.getpid()}"
         draft.write_bytes(plan)
         draft.rename(file)
-    command = [program, "work", "--plan", str(file), "--unit", str(unit), "--out", str(folder)]
-    # It ends with this process, which Ray ends with the node or the run.
+    # It ends with this process, which Ray ends with the node or the run. Ray kills the children and the process group of such a process,
+    # and would leave it no time to remove what it has in shared memory: so it is the child of a child, in a session of its own.
+    command = ["sh", "-c", '"$@"; exit $?', "sh", program, "work", "--plan", str(file), "--unit", str(unit), "--out", str(folder)]
     command += ["--quiet", "--die-with", str(os.getpid()), *flags]
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, pass_fds=[lock])
+    child = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        pass_fds=[lock],
+    )
+    _, errors = child.communicate()
     os.close(lock)
-    if done.returncode != 0:
-        messages = "\n".join(done.stderr.splitlines()[-_ERROR_LINES:])
-        raise RuntimeError(f"unit {unit} on {os.uname().nodename}: exit status {done.returncode}\n{messages}")
+    if child.returncode != 0:
+        messages = "\n".join(errors.splitlines()[-_ERROR_LINES:])
+        raise RuntimeError(f"unit {unit} on {os.uname().nodename}: exit status {child.returncode}\n{messages}")
     whole = folder / _unit_name(unit)
     archive = io.BytesIO()
     with tarfile.open(fileobj=archive, mode="w:gz", compresslevel=1) as files:
