@@ -329,6 +329,23 @@ mod tests {
     use shm_types::MemoryDescription;
 
     use super::*;
+    use crate::plan::plan;
+
+    #[test]
+    fn a_plan_has_the_selected_episodes() {
+        let conditions = [("working/new/unchanged/none".parse().unwrap(), 3)];
+        let keys = |selected: Selected| {
+            let all = &mut plan(&conditions, &[0, 1], &["a", "b"], 1);
+            let episodes = selected.of(all).into_iter();
+            episodes
+                .map(|of| format!("{}{}", of.key.case, of.key.run))
+                .collect::<Vec<_>>()
+                .join(" ")
+        };
+        assert_eq!(keys(Selected::All), "a1 a2 a3 b1 b2 b3");
+        assert_eq!(keys(Selected::Range(2..4)), "a3 b1");
+        assert_eq!(keys(Selected::Repetition(2)), "a2 b2");
+    }
 
     #[test]
     fn a_memory_of_all_cases_has_no_wrong_content() {

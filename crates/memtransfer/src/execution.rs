@@ -158,7 +158,8 @@ mod tests {
 
     #[test]
     fn the_same_command_does_not_name_a_process_that_has_ended() {
-        let given = "memtransfer run --die-with 17 --fresh --limit 5 --die-with=17 --discard --out x";
+        let given =
+            "memtransfer run --die-with 17 --fresh --limit 5 --die-with=17 --discard --out x";
         let kept = without_own_flags(given.split(' ').map(OsString::from));
         let kept: Vec<_> = kept.map(|word| word.into_string().unwrap()).collect();
         assert_eq!(kept.join(" "), "memtransfer run --limit 5 --out x");

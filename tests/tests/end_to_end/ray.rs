@@ -3,9 +3,7 @@
 use std::fs;
 use std::process::Command;
 
-use memtransfer_tests::{
-    Bench, Ended, eventually, needs, program, repository, sorted_log,
-};
+use memtransfer_tests::{Bench, Ended, eventually, needs, program, repository, sorted_log};
 
 const SUITE: &str = r#"
 memory = ["working", "episodic"]

@@ -69,7 +69,8 @@ fn an_episode_that_a_limit_of_inspect_stops_counts_as_failed() {
     for (limit, value) in [("message", "2"), ("token", "500"), ("turn", "2"), ("time", "2")] {
         let flag = format!("--{limit}-limit");
         // A time limit ends the sample whenever it comes: while the run starts, too.
-        let log = evaluated(&bench, "memtransfer/rq1", &["--limit", "2", "--epochs", "1", &flag, value]);
+        let log =
+            evaluated(&bench, "memtransfer/rq1", &["--limit", "2", "--epochs", "1", &flag, value]);
         assert_eq!(log["status"], "success", "{limit}: {}", log["error"]);
         for sample in log["samples"].as_array().unwrap() {
             if limit == "time" && sample["limit"].is_null() {
@@ -80,7 +81,10 @@ fn an_episode_that_a_limit_of_inspect_stops_counts_as_failed() {
             assert_eq!(score["value"]["success"], 0.0);
             assert_eq!(score["value"]["spl"], 0.0);
             let explanation = score["explanation"].as_str().unwrap().to_lowercase();
-            assert!(explanation.contains("was not finished, and counts as failed"), "{explanation}");
+            assert!(
+                explanation.contains("was not finished, and counts as failed"),
+                "{explanation}"
+            );
             assert!(explanation.contains(&format!("{limit} limit")), "{explanation}");
         }
         assert_eq!(left_of(&bench), Vec::<String>::new(), "{limit}");
@@ -98,8 +102,10 @@ fn epochs_of_inspect_are_repetitions() {
     let log = evaluated(&bench, "memtransfer/suite", &args);
     assert_eq!(log["status"], "success", "{}", log["error"]);
     let samples = log["samples"].as_array().unwrap();
-    let keys: Vec<_> =
-        samples.iter().map(|sample| sample["metadata"]["episode"]["key"].as_str().unwrap()).collect();
+    let keys: Vec<_> = samples
+        .iter()
+        .map(|sample| sample["metadata"]["episode"]["key"].as_str().unwrap())
+        .collect();
     assert_eq!(
         keys,
         [
@@ -113,6 +119,8 @@ fn epochs_of_inspect_are_repetitions() {
     };
     assert_eq!(read(1, "elsewhere.json"), read(2, "elsewhere.json"));
     assert_ne!(read(1, "episodes.jsonl"), read(2, "episodes.jsonl"));
+    let ended = bench.run(&["run", "--runs", "2", "--repetition", "3", "--out", "never"]).expect(2);
+    assert!(ended.stderr.contains("there is no repetition 3: --runs is 2"), "{}", ended.stderr);
 }
 
 #[test]
@@ -124,7 +132,8 @@ fn nothing_is_left_of_an_evaluation_of_inspect_that_is_killed() {
         eventually("an episode to run", || {
             let runs = fs::read_dir(bench.out("tmp")).unwrap().flatten();
             let mut logs = runs.map(|run| run.path().join("sessions.jsonl"));
-            logs.any(|log| fs::read_to_string(log).is_ok_and(|log| log.contains("ready"))).then_some(())
+            logs.any(|log| fs::read_to_string(log).is_ok_and(|log| log.contains("ready")))
+                .then_some(())
         });
         kill_process(Pid::from_raw(child.id().cast_signed()).unwrap(), signal).unwrap();
         Ended::of(child);
