@@ -12,8 +12,13 @@ use serde_json::{Value, json};
 
 use super::{SITE_PACKAGES, finish, package, script, scripted};
 
-/// Starts the Python of Inspect with short episodes. What is temporary is in the folder `tmp`.
+/// Starts the Python of Inspect with short episodes.
 fn start_inspect(bench: &Bench, args: &[&str]) -> Child {
+    inspect_python(bench, args, "5").spawn().expect("Python starts")
+}
+
+/// The Python of Inspect. What is temporary is in the folder `tmp`.
+fn inspect_python(bench: &Bench, args: &[&str], max_steps: &str) -> Command {
     let programs = program("memtransfer").with_file_name("");
     let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
     fs::create_dir_all(bench.out("tmp")).unwrap();
@@ -25,7 +30,7 @@ fn start_inspect(bench: &Bench, args: &[&str]) -> Child {
         .env("PATH", path)
         .env("TMPDIR", bench.out("tmp"))
         .env("MEMTRANSFER_RUN_DIR", bench.registry.path())
-        .env("MEMTRANSFER_MAX_STEPS", "5")
+        .env("MEMTRANSFER_MAX_STEPS", max_steps)
         .env("MEMTRANSFER_FRAME_SIZE", "64")
         .env("INSPECT_LOG_DIR", bench.out("logs"))
         .env("XDG_DATA_HOME", bench.out("data"))
@@ -35,7 +40,7 @@ fn start_inspect(bench: &Bench, args: &[&str]) -> Child {
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());
-    command.spawn().expect("Python starts")
+    command
 }
 
 /// `inspect eval` with a mock model.
@@ -128,7 +133,7 @@ fn nothing_is_left_of_an_evaluation_of_inspect_that_is_killed() {
     let bench = Bench::new();
     for signal in [Signal::TERM, Signal::KILL] {
         let args = eval("memtransfer/rq1", &["--limit", "3", "--epochs", "1"]);
-        let child = start_inspect(&bench, &args);
+        let child = inspect_python(&bench, &args, "10000").spawn().unwrap();
         eventually("an episode to run", || {
             let runs = fs::read_dir(bench.out("tmp")).unwrap().flatten();
             let mut logs = runs.map(|run| run.path().join("sessions.jsonl"));
