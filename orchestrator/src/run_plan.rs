@@ -36,8 +36,28 @@ pub enum Purpose {
     DryRun,
 }
 
-/// All episodes of a run.
-pub const ALL: Range<usize> = 0..usize::MAX;
+/// Which of the episodes that the settings select a plan has.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Selected {
+    /// All.
+    All,
+    /// Those of this range, as a unit does.
+    Range(Range<usize>),
+    /// Those of this repetition, from 1.
+    Repetition(u32),
+}
+
+impl Selected {
+    fn of(&self, episodes: &mut dyn Iterator<Item = PlannedEpisode>) -> Vec<PlannedEpisode> {
+        match self {
+            Self::All => episodes.collect(),
+            Self::Range(range) => episodes.skip(range.start).take(range.len()).collect(),
+            Self::Repetition(repetition) => {
+                episodes.filter(|episode| episode.key.run == *repetition).collect()
+            }
+        }
+    }
+}
 
 /// A run before it starts.
 #[derive(Debug)]
@@ -61,15 +81,15 @@ pub struct RunPlan {
 }
 
 impl RunPlan {
-    /// The plan of a run with `settings`, or of those of its episodes in `range`, once its external memories have told their
-    /// names. `None` when asked to stop meanwhile.
+    /// The plan of a run with `settings` that has those of its episodes that are `selected`, once its external memories have told
+    /// their names. `None` when asked to stop meanwhile.
     ///
     /// # Errors
     /// When the settings cannot be used together, select no episode, or name a file that cannot be read; when an external memory
     /// cannot take part.
     pub fn new(
         mut settings: RunSettings,
-        range: Range<usize>,
+        selected: &Selected,
         purpose: Purpose,
         invocation: &Invocation<'_>,
     ) -> Result<Option<Self>> {
@@ -93,9 +113,14 @@ impl RunPlan {
                 return Ok(None);
             }
         }
-        let episodes: Vec<PlannedEpisode> = selection.with_episodes(&settings, |episodes| {
-            episodes.skip(range.start).take(range.len()).collect()
-        });
+        if let Selected::Repetition(repetition) = selected {
+            let most = settings.runs().iter().map(|(_, runs)| *runs).max().unwrap_or(0);
+            ensure!(
+                (1..=most).contains(repetition),
+                "there is no repetition {repetition}: --runs is {most}"
+            );
+        }
+        let episodes = selection.with_episodes(&settings, |episodes| selected.of(episodes));
         let without = selection.without_blocked_route(&settings);
         if without > 0 {
             say(&format!(
@@ -304,6 +329,23 @@ mod tests {
     use shm_types::MemoryDescription;
 
     use super::*;
+    use crate::plan::plan;
+
+    #[test]
+    fn a_plan_has_the_selected_episodes() {
+        let conditions = [("working/new/unchanged/none".parse().unwrap(), 3)];
+        let keys = |selected: Selected| {
+            let all = &mut plan(&conditions, &[0, 1], &["a", "b"], 1);
+            let episodes = selected.of(all).into_iter();
+            episodes
+                .map(|of| format!("{}{}", of.key.case, of.key.run))
+                .collect::<Vec<_>>()
+                .join(" ")
+        };
+        assert_eq!(keys(Selected::All), "a1 a2 a3 b1 b2 b3");
+        assert_eq!(keys(Selected::Range(2..4)), "a3 b1");
+        assert_eq!(keys(Selected::Repetition(2)), "a2 b2");
+    }
 
     #[test]
     fn a_memory_of_all_cases_has_no_wrong_content() {

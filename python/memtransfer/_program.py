@@ -26,14 +26,6 @@ from memtransfer.programs import program
 PROGRAM = "MEMTRANSFER_PROGRAM"
 """The variable that names the program."""
 
-_DIE_WITH_PARENT = (
-    "import ctypes, os, sys\n"
-    f"ctypes.CDLL(None).prctl(1, {int(signal.SIGTERM)})\n"
-    "os.getppid() == int(sys.argv[1]) or sys.exit(1)\n"
-    "os.execv(sys.argv[2], sys.argv[2:])"
-)
-"""Makes the kernel send SIGTERM when the parent ends (`PR_SET_PDEATHSIG`), which stops a run cleanly, and becomes the program."""
-
 _CONTROL = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
 
 _MESSAGE = re.compile(r"^(memtransfer: |error: |stopped: |\d+ of \d+ episodes could not be finished|no answer of the model )", re.MULTILINE)
@@ -101,8 +93,8 @@ def environment(more: Mapping[str, str]) -> dict[str, str]:
 
 
 def dying_with_this_process(command: Sequence[str]) -> list[str]:
-    """Returns the command of a child that stops when the thread that starts it ends."""
-    return [sys.executable, "-IS", "-c", _DIE_WITH_PARENT, str(os.getpid()), *command]
+    """Returns the command of a child that stops when this process ends: `command` is one of `memtransfer run`, `work` or `view`."""
+    return [*command, "--die-with", str(os.getpid())]
 
 
 def message_in(printed: str) -> str:

@@ -13,7 +13,6 @@ served by a process of its own. The guide is `docs/python.md` of the project.
 
 from __future__ import annotations
 
-import difflib
 import html
 import importlib
 import json
@@ -23,7 +22,6 @@ import re
 import shlex
 import subprocess
 import sys
-import tempfile
 import threading
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
@@ -34,6 +32,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict
 from urllib.parse import quote
 
 from memtransfer import _objects, _program
+from memtransfer._names import did_you_mean
 from memtransfer._relay import ATTACH
 from memtransfer._world_process import PICKLE
 from memtransfer.errors import MemTransferError, RunError
@@ -313,8 +312,7 @@ def _setting_flags(settings: Mapping[str, Any]) -> list[str]:
     for name, value in settings.items():
         if name not in Settings.__annotations__:
             known = [*Settings.__annotations__, *_ARGUMENTS]
-            near = difflib.get_close_matches(name.replace("-", "_").lower(), known, 1)
-            raise TypeError(f"there is no setting {name!r}" + (f": did you mean {near[0]!r}?" if near else ""))
+            raise TypeError(f"there is no setting {name!r}{did_you_mean(name, known)}")
         flag = f"--{name.replace('_', '-')}"
         if value is None:
             continue
@@ -380,17 +378,18 @@ def _pickled(world: Callable[[], World]) -> bytes:
 
 @contextmanager
 def _served(world: _WorldCommand | None) -> Generator[dict[str, str], None, None]:
-    """Gives the variables of the world's process, and removes its file in the end."""
+    """Gives the variables of the world's process."""
     if world is None or world.pickled is None:
         yield {}
         return
-    with tempfile.TemporaryDirectory(prefix="memtransfer-world-") as folder:
-        file = Path(folder, "world.pickle")
-        file.write_bytes(world.pickled)
+    # A file in memory, of which nothing is left when this process is killed.
+    with open(os.memfd_create("memtransfer-world"), "wb") as file:
+        file.write(world.pickled)
+        file.flush()
         yield {
             "_MEMTRANSFER_PYTHON": sys.executable,
             "_MEMTRANSFER_WORLD_PROCESS": str(Path(__file__).with_name("_world_process.py")),
-            PICKLE: str(file),
+            PICKLE: f"/proc/{os.getpid()}/fd/{file.fileno()}",
         }
 
 
@@ -615,7 +614,6 @@ class Result:
             command += ["--world-cmd", self._world.command]
         started: list[str | RunError] = []
         is_started = threading.Event()
-        # A viewer ends with the thread that starts it.
         arguments = (command, self._world, started, is_started)
         threading.Thread(target=_keep_viewer, args=arguments, name="memtransfer viewer", daemon=True).start()
         is_started.wait()

@@ -15,15 +15,16 @@ from __future__ import annotations
 import operator
 import os
 import string
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from itertools import product
-from typing import Any, TypeAlias
+from typing import Any, SupportsIndex, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from memtransfer._extras import missing
+from memtransfer._names import did_you_mean
 from memtransfer._native import Lanes
 from memtransfer.codes import Action, Feedback, Heading
 from memtransfer.trajectories import sides
@@ -32,8 +33,8 @@ try:
     import gymnasium
     from gymnasium import spaces
     from gymnasium.envs.registration import register
-    from gymnasium.error import DependencyNotInstalled, ResetNeeded
-    from gymnasium.utils import seeding
+    from gymnasium.error import ClosedEnvironmentError, DependencyNotInstalled, ResetNeeded
+    from gymnasium.utils import EzPickle, seeding
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
 except ModuleNotFoundError as error:
@@ -41,13 +42,11 @@ except ModuleNotFoundError as error:
 
 Observation: TypeAlias = dict[str, Any]
 Pixels: TypeAlias = NDArray[np.uint8]
+Actions: TypeAlias = Sequence[SupportsIndex] | NDArray[np.integer[Any]]
+"""An action for each environment."""
 
-_REFERENCES = {
-    ("original", "unchanged"): "original",
-    ("new", "unchanged"): "test",
-    ("new", "blocked"): "blocked",
-}
-"""The reference of a case that starts as an episode with this start and route does."""
+_STARTS_AND_ROUTES = (("original", "unchanged"), ("new", "unchanged"), ("new", "blocked"))
+"""Those that episodes have."""
 
 _LARGEST_COORDINATE = 63
 """Worlds have at most 64 columns and rows."""
@@ -79,6 +78,18 @@ class Settings:
     """The folder of another world (`memtransfer generate world`)."""
 
 
+def _settings(given: Mapping[str, Any]) -> Settings:
+    known = [field.name for field in fields(Settings)]
+    for name in given:
+        if name not in known:
+            raise TypeError(f"there is no setting {name!r}{did_you_mean(name, [*known, *_ARGUMENTS])}")
+    return Settings(**given)
+
+
+_ARGUMENTS = ("render_mode", "copy", "autoreset_mode", "num_envs")
+"""Those of the constructors that are no settings."""
+
+
 class _Episodes:
     """Episodes in lanes, one for each environment."""
 
@@ -96,20 +107,20 @@ class _Episodes:
         if unknown:
             raise ValueError(f"there is no case {unknown[0]!r}; `memtransfer ls cases` lists the cases")
         starts, routes = _several(settings.start), _several(settings.route)
-        pairs = list(product(starts, routes))
-        references = [_REFERENCES[pair] for pair in pairs if pair in _REFERENCES]
-        if not references or {*starts} - {"original", "new"} or {*routes} - {"unchanged", "blocked"}:
+        pairs = [pair for pair in product(starts, routes) if pair in _STARTS_AND_ROUTES]
+        if not pairs or {*starts} - {"original", "new"} or {*routes} - {"unchanged", "blocked"}:
             raise ValueError(
                 f"no episode has start {settings.start!r} and route {settings.route!r}: starts are original and "
                 "new, routes are unchanged and, from new starts only, blocked"
             )
-        self.choices = list(product(cases, references))
+        self.choices = list(product(cases, pairs))
         self.copy = copy
         self.max_steps = settings.max_steps
         self.pixels: Pixels = np.asarray(self.lanes)
         self.poses = np.zeros((lanes, 3), np.int32)
         self.feedback = np.zeros(lanes, np.int64)
         self.instructions = [""] * lanes
+        self.infos: list[dict[str, Any]] = [{} for _ in range(lanes)]
         # The steps taken; `None` if no episode is running.
         self.steps: list[int | None] = [None] * lanes
         pose = np.array([_LARGEST_COORDINATE, _LARGEST_COORDINATE, len(Heading) - 1], np.int32)
@@ -138,13 +149,14 @@ class _Episodes:
             choices = [choice for choice in choices if choice[0] == wanted]
             if not choices:
                 raise ValueError(f"the case {wanted!r} of the options is not one of the environment's")
-        case, reference = choices[random.integers(len(choices))]
-        self.instructions[lane], self.poses[lane] = self.lanes.begin(lane, case, reference)
+        case, (start, route) = choices[random.integers(len(choices))]
+        self.instructions[lane], self.poses[lane], length = self.lanes.begin(lane, case, start, route)
+        self.infos[lane] = {"case": case, "start": start, "route": route, "reference_length": length}
         self.feedback[lane] = Feedback.START
         self.steps[lane] = 0
 
-    def act(self, lane: int, action: Any) -> tuple[bool, bool]:
-        """Executes an action. Returns whether the task is complete, and whether the episode is truncated."""
+    def act(self, lane: int, action: Any) -> tuple[bool, bool, dict[str, Any]]:
+        """Executes an action. Returns whether the task is complete, whether the episode is truncated, and the info."""
         steps = self.steps[lane]
         if steps is None:
             raise ResetNeeded("the episode has ended or has not begun: call reset()")
@@ -152,7 +164,7 @@ class _Episodes:
         self.poses[lane], self.feedback[lane], success = self.lanes.act(lane, taken)
         truncated = not success and steps + 1 >= self.max_steps
         self.steps[lane] = None if success or truncated else steps + 1
-        return success, truncated
+        return success, truncated, {"is_success": success, **(self.infos[lane] if success or truncated else {})}
 
     def observation(self, lane: int) -> Observation:
         """What the agent of a lane observes; its view must have been drawn."""
@@ -165,8 +177,21 @@ class _Episodes:
         }
 
 
-class MemTransferEnv(gymnasium.Env[Observation, np.int64]):
-    """One episode at a time. The reward is 1 for the step that completes the task, and otherwise 0."""
+class _Open:
+    """What both environments have until they are closed."""
+
+    _open: _Episodes | None
+
+    @property
+    def _episodes(self) -> _Episodes:
+        if self._open is None:
+            raise ClosedEnvironmentError("the environment has been closed: make another")
+        return self._open
+
+
+class MemTransferEnv(_Open, gymnasium.Env[Observation, SupportsIndex], EzPickle):
+    """One episode at a time. The reward is 1 for the step that completes the task, and otherwise 0. A pickle and a deep copy are a new
+    environment with the same settings."""
 
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 10}
 
@@ -178,32 +203,36 @@ class MemTransferEnv(gymnasium.Env[Observation, np.int64]):
             copy: With `False`, `pixels` is the read-only buffer itself, and every step overwrites it.
             **settings: The fields of `Settings`.
         """
+        EzPickle.__init__(self, render_mode=render_mode, copy=copy, **settings)
         _check_render_mode(render_mode, self.metadata)
         self.render_mode = render_mode
         self._window = _Window(self.metadata["render_fps"]) if render_mode == "human" else None
-        self._episodes = _Episodes(1, copy, Settings(**settings))
+        self._open = _Episodes(1, copy, _settings(settings))
         self.observation_space = self._episodes.observation_space
         self.action_space = self._episodes.action_space
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins an episode. The seed determines which one; `options={"case": "t03-07"}` names its case."""
+        """Begins an episode. The seed determines which one; `options={"case": "t03-07"}` names its case. The info has its case, start,
+        route and reference length."""
         super().reset(seed=seed)
         self._episodes.begin(0, self.np_random, options)
-        return self._observe(), {}
+        return self._observe(), dict(self._episodes.infos[0])
 
-    def step(self, action: np.int64) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Executes an action; see `memtransfer.Action`."""
-        success, truncated = self._episodes.act(0, action)
-        return self._observe(), float(success), success, truncated, {"is_success": success}
+    def step(self, action: SupportsIndex) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Executes an action: a `memtransfer.Action` or its number."""
+        success, truncated, info = self._episodes.act(0, action)
+        return self._observe(), float(success), success, truncated, info
 
     def render(self) -> Pixels | None:
         """Returns the view with `render_mode="rgb_array"`."""
-        return self._episodes.pixels[0].copy() if self.render_mode == "rgb_array" else None
+        view = self._episodes.pixels[0]
+        return view.copy() if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Closes the window, if there is one."""
+        """Closes the window, if there is one. The environment cannot be used any more."""
+        self._open = None
         if self._window is not None:
             self._window.close()
 
@@ -214,8 +243,9 @@ class MemTransferEnv(gymnasium.Env[Observation, np.int64]):
         return self._episodes.observation(0)
 
 
-class MemTransferVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any]]):
-    """Many episodes at the same time, whose views are rendered by all cores."""
+class MemTransferVectorEnv(_Open, VectorEnv[Observation, Actions, NDArray[Any]], EzPickle):
+    """Many episodes at the same time, whose views are rendered by all cores. A pickle and a deep copy are a new environment with the same
+    settings."""
 
     def __init__(
         self,
@@ -235,6 +265,9 @@ class MemTransferVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
             autoreset_mode: When the next episode begins, as for Gymnasium's own vector environments.
             **settings: The fields of `Settings`.
         """
+        arguments = {"render_mode": render_mode, "copy": copy, "autoreset_mode": autoreset_mode}
+        EzPickle.__init__(self, num_envs, **arguments, **settings)
+        self._open = None
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {
             "render_modes": ["rgb_array"],
@@ -244,7 +277,7 @@ class MemTransferVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         _check_render_mode(render_mode, self.metadata)
         self.render_mode = render_mode
         self.num_envs = num_envs
-        self._episodes = _Episodes(num_envs, copy, Settings(**settings))
+        self._open = _Episodes(num_envs, copy, _settings(settings))
         self.single_observation_space = self._episodes.observation_space
         self.single_action_space = self._episodes.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -271,45 +304,55 @@ class MemTransferVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         chosen = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, np.bool_)))
         if chosen.shape != (self.num_envs,) or chosen.dtype != np.bool_:
             raise ValueError(f"reset_mask must be an array of {self.num_envs} booleans")
+        infos: dict[str, Any] = {}
         for lane in np.flatnonzero(chosen).tolist():
             if seeds is not None and seeds[lane] is not None:
                 self._randoms[lane], _ = seeding.np_random(seeds[lane])
-            self._begin(lane, options)
-        return self._observe(), {}
+            infos = self._begin(lane, infos, options)
+        return self._observe(), infos
 
     def step(
-        self, actions: NDArray[np.int64]
+        self, actions: Actions
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Executes an action in every environment."""
         if len(actions) != self.num_envs:
             raise ValueError(f"there are {len(actions)} actions for {self.num_envs} environments")
         terminations, truncations = (np.zeros(self.num_envs, np.bool_) for _ in range(2))
         infos: dict[str, Any] = {}
+        final_infos: dict[int, dict[str, Any]] = {}
         for lane, action in enumerate(actions):
             if self._ended[lane] and self.autoreset_mode is AutoresetMode.NEXT_STEP:
-                self._begin(lane)
+                infos = self._begin(lane, infos)
                 continue
-            terminations[lane], truncations[lane] = self._episodes.act(lane, action)
+            terminations[lane], truncations[lane], info = self._episodes.act(lane, action)
             self._ended[lane] = terminations[lane] or truncations[lane]
-            if not (self._ended[lane] and self.autoreset_mode is AutoresetMode.SAME_STEP):
-                infos = self._add_info(infos, {"is_success": bool(terminations[lane])}, lane)
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
+            if self._ended[lane] and self.autoreset_mode is AutoresetMode.SAME_STEP:
+                final_infos[lane] = info
+            else:
+                infos = self._add_info(infos, info, lane)
+        if final_infos:
             self._episodes.lanes.draw()
-            for lane in np.flatnonzero(self._ended).tolist():
+            for lane, info in final_infos.items():
                 # The buffer gets the view of the next episode.
                 last = {**self._episodes.observation(lane), "pixels": self._episodes.pixels[lane].copy()}
-                final = {"final_obs": last, "final_info": {"is_success": bool(terminations[lane])}}
-                infos = self._add_info(infos, final, lane)
-                self._begin(lane)
+                infos = self._add_info(infos, {"final_obs": last, "final_info": info}, lane)
+                infos = self._begin(lane, infos)
         return self._observe(), terminations.astype(np.float64), terminations, truncations, infos
 
     def render(self) -> tuple[Pixels, ...] | None:
         """Returns the views with `render_mode="rgb_array"`."""
-        return tuple(self._episodes.pixels.copy()) if self.render_mode == "rgb_array" else None
+        views = self._episodes.pixels
+        return tuple(views.copy()) if self.render_mode == "rgb_array" else None
 
-    def _begin(self, lane: int, options: dict[str, Any] | None = None) -> None:
+    def close_extras(self, **_: Any) -> None:
+        """Closes the environment, which cannot be used any more."""
+        self._open = None
+
+    def _begin(self, lane: int, infos: dict[str, Any], options: dict[str, Any] | None = None) -> dict[str, Any]:
+        """Begins an episode in a lane. Returns `infos` with its info."""
         self._episodes.begin(lane, self._randoms[lane], options)
         self._ended[lane] = False
+        return self._add_info(infos, self._episodes.infos[lane], lane)
 
     def _observe(self) -> Observation:
         episodes = self._episodes

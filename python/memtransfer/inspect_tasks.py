@@ -10,14 +10,20 @@ guide is `docs/inspect.md` of the project.
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import tempfile
+import uuid
 from collections.abc import Sequence
+from concurrent.futures import CancelledError, Future
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from memtransfer import _native
 from memtransfer._extras import missing
+from memtransfer._program import dying_with_this_process
 from memtransfer.codes import Outcome
 from memtransfer.errors import MemTransferError
 from memtransfer.policy import Policy
@@ -33,6 +39,8 @@ try:
     import anyio.to_thread
     from inspect_ai import Task, task
     from inspect_ai.dataset import Sample
+    from inspect_ai.event import SampleLimitEvent
+    from inspect_ai.log import transcript
     from inspect_ai.model import (
         ChatMessage,
         ChatMessageSystem,
@@ -122,20 +130,29 @@ def episode(suite: str, image_budget: int = IMAGE_BUDGET, out: str | None = None
     """Runs the episode of a sample."""
 
     async def solve(state: TaskState, generate: Generate) -> TaskState:
-        with tempfile.TemporaryDirectory(prefix="memtransfer-inspect-") as scratch:
-            run = Path(out or scratch, f"{state.sample_id}.{state.epoch}").absolute()
-            command = [str(program()), "run", "--suite", suite, "--cases", state.metadata["case"]]
-            for name, value in state.metadata["flags"].items():
-                command += [f"--{name}", value]
-            command += ["--runs", "1", "--seed", str(state.epoch), "--lanes", "1", "--fresh"]
-            command += ["--policy", "external", "--step-timeout", str(_PATIENCE_SECONDS)]
-            policy = _Model(image_budget)
-            log = await _execute([*command, "--out", str(run)], policy)
-            if policy.raised is not None:
-                raise policy.raised
+        name = f"memtransfer-inspect-{uuid.uuid4().hex}" if out is None else f"{state.sample_id}.{state.epoch}"
+        run = Path(out or tempfile.gettempdir(), name).absolute()
+        command = [str(program()), "run", "--suite", suite, "--cases", state.metadata["case"]]
+        for flag, value in state.metadata["flags"].items():
+            command += [f"--{flag}", value]
+        # An epoch is a repetition of the same run: only the seeds of its episodes differ.
+        command += ["--runs", str(state.epoch), "--repetition", str(state.epoch), "--lanes", "1", "--fresh"]
+        command += ["--policy", "external", "--step-timeout", str(_PATIENCE_SECONDS), "--out", str(run)]
+        if out is None:
+            command.append("--discard")
+        policy = _Model(image_budget)
+        try:
+            log = await _execute(dying_with_this_process(command), policy)
             state.metadata["episode"] = _result(run, log)
-        state.messages = policy.messages
-        state.output = policy.output
+        finally:
+            # Inspect scores and logs a sample that one of its limits stops, too.
+            if "episode" not in state.metadata:
+                state.metadata["steps"] = policy.answers
+            state.output = policy.output
+            if policy.messages:
+                state.messages = policy.messages
+            if out is None:
+                shutil.rmtree(run, ignore_errors=True)
         state.completed = True
         return state
 
@@ -150,25 +167,45 @@ def episode(suite: str, image_budget: int = IMAGE_BUDGET, out: str | None = None
     }
 )
 def episode_scorer() -> Scorer:
-    """The result of the episode: success, success weighted by path length, steps."""
+    """The result of the episode: success, success weighted by path length, steps. An episode that a limit of Inspect stops is not
+    finished, and counts as failed. One that an error stops has no score."""
 
-    async def score(state: TaskState, target: Target) -> Score:
-        episode = state.metadata["episode"]
+    async def score(state: TaskState, target: Target) -> Score | None:
+        episode = state.metadata.get("episode")
+        if episode is None:
+            limits = [event for event in transcript().events if isinstance(event, SampleLimitEvent)]
+            if not limits:
+                return None
+            return Score(
+                value={"success": 0.0, "spl": 0.0, "steps": float(state.metadata.get("steps", 0))},
+                explanation=f"The episode was not finished, and counts as failed: {limits[-1].message}",
+            )
         value = {name: float(episode[name]) for name in ("success", "spl", "steps")}
         return Score(value=value, answer=episode["ending"])
 
     return score
 
 
+@dataclass(frozen=True)
+class _Question:
+    """What the policy asks the model."""
+
+    messages: list[ChatMessage]
+    reply: Future[ModelOutput]
+    """Cancelled when the solver ends before."""
+
+
 class _Model(Policy):
-    """Asks the model that Inspect evaluates. Used in a worker thread of the solver."""
+    """Has the solver ask the model that Inspect evaluates, in the task that Inspect limits and cancels. Used in a worker thread."""
 
     def __init__(self, image_budget: int) -> None:
         self.image_budget = image_budget
         self.name = "inspect"
+        self.questions, self._asked = anyio.create_memory_object_stream[_Question](1)
+        self._last: _Question | None = None
         self.messages: list[ChatMessage] = []
         self.output = ModelOutput()
-        self.raised: Exception | None = None
+        self.answers = 0
 
     def facts(self) -> dict[str, str]:
         return {"model": str(get_model()), "prompt": VERSION}
@@ -178,13 +215,12 @@ class _Model(Policy):
 
     def _ask(self, request: Request) -> Answer:
         prompt = render(request, self.image_budget)
-        messages = _messages(prompt)
+        question = _Question(_messages(prompt), Future())
         try:
-            output = anyio.from_thread.run(_model().generate, messages)
-        except Exception as error:  # Inspect decides what it means for the sample.
-            self.raised = error
-            return Failed(f"{type(error).__name__}: {error}")
-        self.messages, self.output = [*messages, output.message], output
+            anyio.from_thread.run_sync(self._send, question)
+            output = question.reply.result()
+        except (anyio.BrokenResourceError, CancelledError):
+            return Failed("Inspect has stopped the sample")
         tokens = output.usage
         usage = Usage(
             prompt_tokens=tokens.input_tokens if tokens else None,
@@ -198,6 +234,24 @@ class _Model(Policy):
         answer = Outcome.REFUSED if refused else read_answer(output.completion, cut_off, request.world)
         rest: dict[str, Any] = {"images": prompt.images_sent, "usage": usage}
         return Decision(None, answer, **rest) if isinstance(answer, Outcome) else Decision(answer, **rest)
+
+    def _send(self, question: _Question) -> None:
+        self.questions.send_nowait(question)
+        self._last = question
+
+    async def answer(self) -> None:
+        """Answers questions until the run ends. What the model raises ends the policy, too."""
+        try:
+            with self._asked as questions:
+                async for question in questions:
+                    output = await _model().generate(question.messages)
+                    self.messages, self.output = [*question.messages, output.message], output
+                    self.answers += 1
+                    question.reply.set_result(output)
+        finally:
+            # Also one that has not been received. There is no more than one, and the next cannot be sent.
+            if self._last is not None:
+                self._last.reply.cancel()
 
 
 def _model() -> Model:
@@ -225,29 +279,54 @@ def _messages(prompt: Prompt) -> list[ChatMessage]:
 
 
 async def _execute(command: Sequence[str], policy: _Model) -> str:
-    """Executes a run with `policy`. Returns what it printed about itself."""
-    process = await anyio.open_process(command, stdout=subprocess.DEVNULL)
+    """Executes a run with `policy`. Returns what it printed about itself.
+
+    Raises what the model raises, once the run has stopped.
+    """
+    # An interrupt of the terminal is for Inspect, which stops the run.
+    process = await anyio.open_process(command, stdout=subprocess.DEVNULL, start_new_session=True)
     log: list[str] = []
+    raised: Exception | None = None
     try:
         folder = await _folder(process, log)
         async with anyio.create_task_group() as group:
             group.start_soon(_read, process, log)
             if folder is not None:
-                # Of its own, because it is occupied until the run ends.
-                thread = anyio.CapacityLimiter(1)
+                group.start_soon(_serve, policy, folder, log)
                 try:
-                    await anyio.to_thread.run_sync(
-                        serve, policy, folder, abandon_on_cancel=True, limiter=thread
-                    )
-                except MemTransferError as error:
-                    log.append(str(error))
+                    await policy.answer()
+                except Exception as error:
+                    # Inspect decides what it means for the sample. The group would wrap it.
+                    raised = error
+                    _stop(process)
+                except BaseException:
+                    _stop(process)
+                    raise
         await process.wait()
     finally:
-        if process.returncode is None:
-            process.terminate()
-            with anyio.CancelScope(shield=True):
-                await process.wait()
+        _stop(process)
+        with anyio.CancelScope(shield=True):
+            await process.wait()
+    if raised is not None:
+        raise raised
     return "".join(log)
+
+
+def _stop(process: anyio.abc.Process) -> None:
+    if process.returncode is None:
+        with suppress(ProcessLookupError):
+            process.terminate()
+
+
+async def _serve(policy: _Model, folder: str, log: list[str]) -> None:
+    """Serves `policy` until the run ends, also when it is cancelled: the thread uses the run's shared memory."""
+    # Of its own, because it is occupied until the run ends.
+    thread = anyio.CapacityLimiter(1)
+    with policy.questions:
+        try:
+            await anyio.to_thread.run_sync(serve, policy, folder, limiter=thread)
+        except MemTransferError as error:
+            log.append(str(error))
 
 
 async def _folder(process: anyio.abc.Process, log: list[str]) -> str | None:

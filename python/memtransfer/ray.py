@@ -11,12 +11,14 @@ project.
 from __future__ import annotations
 
 import argparse
+import fcntl
 import hashlib
 import io
 import json
 import os
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tarfile
@@ -47,25 +49,39 @@ def _work(plan: bytes, unit: int, program: str, flags: Sequence[str]) -> bytes:
     Its folder stays on the node until it is finished, so that another attempt on this node goes on from there.
     """
     digest = hashlib.sha256(plan).hexdigest()[:16]
-    folder = Path(tempfile.gettempdir()) / f"memtransfer-ray-{os.getuid()}" / digest
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    folder = Path(tempfile.gettempdir()) / f"memtransfer-ray-{os.getuid()}-{digest}-{unit}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    # An attempt before, whose worker was lost, may still be stopping: its program holds the lock.
+    lock = os.open(folder, os.O_RDONLY)
+    fcntl.flock(lock, fcntl.LOCK_EX)
     file = folder / "plan.json"
     if not file.exists():
         draft = folder / f"plan.json.{os.getpid()}"
         draft.write_bytes(plan)
         draft.rename(file)
-    command = [program, "work", "--plan", str(file), "--unit", str(unit), "--out", str(folder)]
-    # It ends with this process, which Ray ends with the node.
+    # It ends with this process, which Ray ends with the node or the run. Ray kills the children and the process group of such a process,
+    # and would leave it no time to remove what it has in shared memory: so it is the child of a child, in a session of its own.
+    command = ["sh", "-c", '"$@"; exit $?', "sh", program, "work", "--plan", str(file), "--unit", str(unit), "--out", str(folder)]
     command += ["--quiet", "--die-with", str(os.getpid()), *flags]
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True)
-    if done.returncode != 0:
-        messages = "\n".join(done.stderr.splitlines()[-_ERROR_LINES:])
-        raise RuntimeError(f"unit {unit} on {os.uname().nodename}: exit status {done.returncode}\n{messages}")
+    child = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        pass_fds=[lock],
+    )
+    _, errors = child.communicate()
+    os.close(lock)
+    if child.returncode != 0:
+        messages = "\n".join(errors.splitlines()[-_ERROR_LINES:])
+        raise RuntimeError(f"unit {unit} on {os.uname().nodename}: exit status {child.returncode}\n{messages}")
     whole = folder / _unit_name(unit)
     archive = io.BytesIO()
     with tarfile.open(fileobj=archive, mode="w:gz", compresslevel=1) as files:
         files.add(whole, arcname=whole.name)
-    shutil.rmtree(whole)
+    shutil.rmtree(folder)
     return archive.getvalue()
 
 
@@ -86,8 +102,26 @@ def _store(archive: bytes, unit: int, units: Path) -> None:
 def _make_plan(program: str, settings: Sequence[str], units: Path) -> Path:
     """The plan of these settings, in the folder of its units; `plan` keeps what is there already, and refuses another."""
     plan = units / "plan.json"
-    subprocess.run([program, "plan", *settings, "--out", str(plan)], check=True)
+    _call([program, "plan", *settings, "--out", str(plan)])
     return plan
+
+
+def _call(command: Sequence[str]) -> None:
+    """Runs a command, which an interrupt stops.
+
+    Raises:
+        subprocess.CalledProcessError: Its exit status is not 0.
+    """
+    with subprocess.Popen(command) as child:
+        try:
+            status = child.wait()
+        except KeyboardInterrupt:
+            # `subprocess.run` would kill it.
+            child.send_signal(signal.SIGINT)
+            child.wait()
+            raise
+    if status != 0:
+        raise subprocess.CalledProcessError(status, command)
 
 
 def _flags_of_units(settings: Sequence[str], work: Sequence[str]) -> list[str]:
@@ -110,16 +144,24 @@ class _Progress:
     def __init__(self, total: int, done: int) -> None:
         self.total, self.done, self.began_with = total, done, done
         self.began = self.shown = time.monotonic()
+        self.explained: float | None = None
+        """The cores of the largest node, as last seen."""
 
-    def show(self, running: int) -> None:
+    def show(self, running: int, cpus: float) -> None:
         now = time.monotonic()
         if now - self.shown < 1 and self.done < self.total:
             return
         self.shown = now
-        nodes = sum(1 for node in ray.nodes() if node["Alive"])
+        nodes = [node["Resources"].get("CPU", 0.0) for node in ray.nodes() if node["Alive"]]
+        largest = max(nodes, default=0.0)
+        # A larger node may come later.
+        if largest < cpus and largest != self.explained:
+            message = f"no node has the {cpus:g} cores of a unit (--cpus), the largest has {largest:g}: waiting for a larger one"
+            print(message, file=sys.stderr)
+        self.explained = largest
         rate = (self.done - self.began_with) / max(now - self.began, 1e-9)
         left = f", {(self.total - self.done) / rate / 60:.0f} min left" if rate else ""
-        line = f"{self.done} of {self.total} units, {nodes} nodes, {running} queued or running{left}"
+        line = f"{self.done} of {self.total} units, {len(nodes)} nodes, {running} queued or running{left}"
         end = "\r" if sys.stderr.isatty() else "\n"
         print(f"{line}   " if end == "\r" else line, end=end, file=sys.stderr, flush=True)
 
@@ -148,12 +190,20 @@ def _execute(arguments: argparse.Namespace, plan: Path, units: Path) -> list[str
                 progress.done += 1
             except ray.exceptions.RayError as error:
                 failed.append(str(error))
-        progress.show(len(running))
+        progress.show(len(running), arguments.cpus)
     return failed
 
 
+def _cores(text: str) -> float:
+    """A number of cores as Ray takes it."""
+    cores = float(text)
+    if not (0 < cores < 1 or (cores >= 1 and cores.is_integer())):
+        raise argparse.ArgumentTypeError(f"{text} is neither a whole number from 1 nor a fraction of a core")
+    return cores
+
+
 def main(given: Sequence[str] | None = None) -> int:
-    """The command line. Returns the exit status: 0 merged, 1 units failed, 2 error."""
+    """The command line. Returns the exit status: 0 merged, 1 units failed, 2 error, 130 interrupted."""
     parser = argparse.ArgumentParser(prog="python -m memtransfer.ray", allow_abbrev=False)
     verbs = parser.add_subparsers(required=True)
     run = verbs.add_parser(
@@ -165,7 +215,7 @@ def main(given: Sequence[str] | None = None) -> int:
     run.add_argument("--address", default="auto", help="the cluster's address [default: auto]")
     run.add_argument("--out", type=Path, required=True, help="the run folder to make; units lie in OUT.units")
     run.add_argument("--unit-episodes", default="500", help="episodes of a unit [default: 500]")
-    run.add_argument("--cpus", type=float, default=2, help="cores that Ray reserves for a unit [default: 2]")
+    run.add_argument("--cpus", type=_cores, default=2.0, help="cores that Ray reserves for a unit [default: 2]")
     run.add_argument("--retries", type=int, default=20, help="losses of nodes that a unit survives [default: 20]")
     run.add_argument("--program", default="memtransfer", help="the program on every node [default: memtransfer]")
     run.add_argument("--work", default="", help="flags for `memtransfer work`, for example '--lanes 32'")
@@ -175,6 +225,16 @@ def main(given: Sequence[str] | None = None) -> int:
         arguments.flags = _flags_of_units(settings, shlex.split(arguments.work))
     except ValueError as error:
         parser.error(f"--work: {error}")
+    try:
+        return _run(arguments, settings)
+    except KeyboardInterrupt:
+        # What the progress has drawn is not erased.
+        print(f"\ninterrupted: finished units are kept in {arguments.out}.units; the same command goes on", file=sys.stderr)
+        return 128 + signal.SIGINT
+
+
+def _run(arguments: argparse.Namespace, settings: Sequence[str]) -> int:
+    """Plans, executes the units, and merges them. Returns the exit status."""
     units = Path(f"{arguments.out}.units")
     settings = [*settings, "--unit-episodes", arguments.unit_episodes]
     try:
@@ -199,7 +259,11 @@ def main(given: Sequence[str] | None = None) -> int:
         print(f"{len(failed)} units failed; the same command executes them again", file=sys.stderr)
         return 1
     merge = [arguments.program, "merge", "--plan", str(plan), str(units), "--out", str(arguments.out)]
-    return subprocess.run([*merge, *(["--strict"] if arguments.strict else [])]).returncode
+    try:
+        _call([*merge, *(["--strict"] if arguments.strict else [])])
+    except subprocess.CalledProcessError as error:
+        return int(error.returncode)
+    return 0
 
 
 if __name__ == "__main__":

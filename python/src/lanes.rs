@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use std::thread;
 
-use domain::{Action, Appearance, Feedback, Pose};
+use domain::{Action, Appearance, Feedback, Pose, Route, Start};
 use pyo3::exceptions::{PyIndexError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -148,22 +148,32 @@ impl Lanes {
         Ok(interface)
     }
 
-    /// Begins an episode where the reference `reference` of case `case` starts. Returns the instruction and the pose.
-    fn begin(&mut self, lane: usize, case: &str, reference: &str) -> PyResult<(String, PoseTuple)> {
-        let case = self.cases.case(case);
-        let case = case.ok_or_else(|| invalid("there is no such case"))?;
-        let start = TrajectoryKind::ALL.into_iter().find(|start| start.name() == reference);
-        let start = start.ok_or_else(|| invalid("there is no such reference"))?;
-        let pose = case.trajectory(start).start;
+    /// Begins an episode of case `case` from `start` on `route`. Returns the instruction, the pose, and the length of the reference: the
+    /// steps in which the expert completes the task.
+    fn begin(
+        &mut self,
+        lane: usize,
+        case: &str,
+        start: &str,
+        route: &str,
+    ) -> PyResult<(String, PoseTuple, u32)> {
+        let Self { warehouse, cases, lanes, .. } = self;
+        let case = cases.case(case).ok_or_else(|| invalid("there is no such case"))?;
+        let (start, route) =
+            (start.parse::<Start>().map_err(invalid)?, route.parse::<Route>().map_err(invalid)?);
+        let reference = TrajectoryKind::reference(start, route);
+        let length = case.replay(warehouse, reference).length;
+        let length = length.ok_or_else(|| invalid("the reference does not complete the task"))?;
+        let pose = case.trajectory(reference).start;
         let episode = EnvironmentEpisode {
-            variant: case.variant(start),
+            variant: case.variant(reference),
             pose,
-            progress: Progress::new(&self.warehouse, &case.task, pose.cell),
+            progress: Progress::new(warehouse, &case.task, pose.cell),
             is_drawn: false,
         };
-        let instruction = case.task.instruction(&self.warehouse.catalogue);
-        *self.lanes.get_mut(lane).ok_or_else(|| no_lane(lane))? = Some(episode);
-        Ok((instruction, place(pose)))
+        let instruction = case.task.instruction(&warehouse.catalogue);
+        *lanes.get_mut(lane).ok_or_else(|| no_lane(lane))? = Some(episode);
+        Ok((instruction, place(pose), length))
     }
 
     /// Executes an action. Returns the pose, the feedback and whether the task is complete.

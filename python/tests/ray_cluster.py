@@ -1,7 +1,7 @@
 """Loses nodes of a Ray cluster during a run: python ray_cluster.py OUT PROGRAM SETTINGS...
 
-Three raylets on this machine execute `python -m memtransfer.ray run`. Two of them are killed, and one is added. Ray's files
-go to TMPDIR, whose path is short. The variable RAY_RUN_TIMEOUT_S sets how long the run may take, 240 seconds without it.
+Three raylets on this machine execute `python -m memtransfer.ray run`. Two of them are killed, and one is added. Before that, runs are
+interrupted: one that waits for a larger node, and one that goes on. Ray's files go to TMPDIR, whose path is short. The variable RAY_RUN_TIMEOUT_S sets how long the run may take, 240 seconds without it.
 """
 
 import os
@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ray.cluster_utils import Cluster
@@ -26,6 +27,31 @@ def wait_for(units: Path, count: int, run: "subprocess.Popen[bytes]") -> None:
         time.sleep(0.02)
 
 
+def interrupt(command: list[str], is_due: Callable[[str], bool]) -> str:
+    """Interrupts a run as soon as its messages say so. Returns them."""
+    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    assert run.stderr is not None
+    said = ""
+    while not is_due(said):
+        line = run.stderr.readline()
+        assert line, said
+        said += line
+    run.send_signal(signal.SIGINT)
+    said += run.communicate()[1]
+    assert run.returncode == 130 and "the same command goes on" in said and "Traceback" not in said, said
+    return said
+
+
+def check_interrupts(command: list[str], settings: Sequence[str]) -> None:
+    runs = os.environ["MEMTRANSFER_RUN_DIR"]
+    waiting = [*command, "--out", "waiting", "--cpus", "64", *settings]
+    said = interrupt(waiting, lambda said: "0 of " in said)
+    assert "no node has the 64 cores of a unit (--cpus), the largest has 1: waiting for a larger one" in said, said
+    interrupt([*command, "--out", "interrupted", "--cpus", "1", *settings], lambda _: bool(os.listdir(runs)))
+    while os.listdir(runs):
+        time.sleep(0.1)
+
+
 def main(out: str, program: str, *settings: str) -> int:
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     head = {"num_cpus": 0, "object_store_memory": OBJECTS, "include_dashboard": False}
@@ -33,8 +59,9 @@ def main(out: str, program: str, *settings: str) -> int:
     nodes = [cluster.add_node(num_cpus=1, object_store_memory=OBJECTS, wait=False) for _ in range(3)]
     cluster.wait_for_nodes()
     command = [sys.executable, "-m", "memtransfer.ray", "run", "--address", cluster.address, "--program", program]
-    command += ["--out", out, "--cpus", "1", "--unit-episodes", "4", *settings]
-    run = subprocess.Popen(command)
+    command += ["--unit-episodes", "4"]
+    check_interrupts(command, settings)
+    run = subprocess.Popen([*command, "--out", out, "--cpus", "1", *settings])
     units = Path(f"{out}.units")
     for node, count in zip(nodes[:2], [2, 4]):
         wait_for(units, count, run)

@@ -290,8 +290,28 @@ def test_settings_are_the_flags_of_run() -> None:
     flags = {line.split()[0] for line in printed.splitlines() if line.startswith("      --")}
     ours = {f"--{name.replace('_', '-')}" for name in Settings.__annotations__}
     arguments = {"--policy", "--policy-cmd", "--memory", "--memory-cmd", "--world", "--world-cmd", "--suite", "--out", "--quiet"}
-    # What runs nothing, and what `evaluate` does itself.
-    assert flags - arguments - {"--dry-run", "--show-settings", "--die-with"} == ours
+    # What runs nothing, and what is for programs that start runs, as `evaluate` does.
+    assert flags - arguments - {"--dry-run", "--show-settings", "--die-with", "--discard", "--repetition"} == ours
+
+
+def test_spl_from_infos_of_the_environment_is_that_of_a_run(tmp_path: Path) -> None:
+    from memtransfer.gym import MemTransferEnv
+
+    conditions = {"starts": ["original", "new"], "routes": ["unchanged", "blocked"]}
+    result = evaluate(policy="grounded", memory="working", cases=["t01-01", "t03-07"], out=tmp_path / "run", progress=False, **conditions)
+    assert len(result.episodes) == 6
+    spl = []
+    for record in result.episodes.itertuples():
+        env = MemTransferEnv(case=record.case, start=record.start, route=record.route, frame_size=64)
+        _, info = env.reset()
+        for letter in record.actions:
+            *_, info = env.step("fblrLRU".index(letter))
+        assert (info["case"], info["start"], info["route"]) == (record.case, record.start, record.route)
+        assert (info["is_success"], info["reference_length"]) == (record.success, record.reference)
+        spl.append(info["is_success"] * info["reference_length"] / max(len(record.actions), info["reference_length"]))
+        assert abs(spl[-1] - record.spl) < 1e-6
+    # Detours, and an episode that failed.
+    assert 0 in spl and any(0 < one < 1 for one in spl)
 
 
 def test_without_the_program_there_is_a_hint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import sys
 import warnings
+from collections.abc import Callable
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.error import DependencyNotInstalled, ResetNeeded
+from gymnasium.error import ClosedEnvironmentError, DependencyNotInstalled, ResetNeeded
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
@@ -50,7 +53,9 @@ def test_both_environments_are_registered() -> None:
         assert observation["pixels"].shape == (64, 128, 3)
         assert (env.render() == observation["pixels"]).all()
         assert observation["instruction"] == "Find a yellow fire extinguisher."
-        assert observation["feedback"] == Feedback.START and info == {}
+        assert observation["feedback"] == Feedback.START
+        expected = {"case": "t01-01", "start": "original", "route": "unchanged", "reference_length": 16}
+        assert info == expected
         envs = gymnasium.make_vec(NAME, num_envs=3, render_mode="rgb_array", **SMALL)
         assert isinstance(envs, MemTransferVectorEnv)
         assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
@@ -68,19 +73,21 @@ def test_both_environments_are_registered() -> None:
 def test_the_actions_of_the_expert_succeed(case: str, start: str, route: str, reference: str) -> None:
     env = MemTransferEnv(case=case, start=start, route=route, frame_size=np.int64(64))
     pose, actions = expert(case, reference)
-    observation, info = env.reset()
+    observation, of_episode = env.reset()
     assert tuple(observation["pose"]) == pose
+    length = of_episode["reference_length"]
+    assert of_episode == {"case": case, "start": start, "route": route, "reference_length": length}
     for taken, action in enumerate(actions):
-        before = set(observation), set(info)
-        assert before == ({"pixels", "pose", "instruction", "feedback"}, {"is_success"} if taken else set())
+        assert set(observation) == {"pixels", "pose", "instruction", "feedback"}
         observation, reward, terminated, truncated, info = env.step(action)
+        assert info == {"is_success": terminated, **(of_episode if terminated else {})}
         assert observation in env.observation_space and not truncated
         assert (reward, info["is_success"]) == (float(terminated), terminated)
         if terminated:
             # Only a turn towards the rack may follow.
             assert len(actions) - taken <= 3
             break
-    assert terminated
+    assert terminated and taken + 1 == length
     with pytest.raises(ResetNeeded):
         env.step(0)
 
@@ -137,14 +144,14 @@ def test_a_vector_environment_equals_single_ones(mode: AutoresetMode) -> None:
 
 def test_a_success_ends_the_episode_of_its_lane_alone() -> None:
     vector = MemTransferVectorEnv(2, case="t01-01", frame_size=64)
-    vector.reset(seed=1)
+    _, of_episodes = vector.reset(seed=1)
     for action in expert("t01-01", "original")[1]:
         _, rewards, terminations, truncations, infos = vector.step(np.array([action, Action.TURN_LEFT]))
         if terminations.any():
             break
     assert terminations.tolist() == infos["is_success"].tolist() == [True, False]
     assert rewards.tolist() == [1.0, 0.0] and not truncations.any()
-    assert set(infos) == {"is_success", "_is_success"}
+    assert infos["_case"].tolist() == [True, False] and infos["case"][0] == of_episodes["case"][0] == "t01-01"
 
 
 def test_observations_are_copies_unless_asked_otherwise() -> None:
@@ -196,11 +203,87 @@ def test_appearance_changes_pixels_only() -> None:
         ({"appearance_seed": -1}, "appearance_seed must be at least 0"),
         ({"assets": "nowhere"}, "nowhere"),
         ({"render_mode": "ansi"}, "human, rgb_array"),
+        ({"strat": "new"}, "there is no setting 'strat': did you mean 'start'?"),
+        ({"cases": "t01-01"}, "there is no setting 'cases': did you mean 'case'?"),
+        ({"render-mod": "human"}, "there is no setting 'render-mod': did you mean 'render_mode'?"),
+        ({"velocity": 3}, "there is no setting 'velocity'"),
     ],
 )
 def test_settings_that_make_no_environment(settings: dict[str, Any], said: str) -> None:
     with pytest.raises((TypeError, ValueError), match=re.escape(said)):
         MemTransferEnv(**settings)
+
+
+@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
+def test_misspelt_settings_are_refused_by_gymnasium(make: Callable[..., Any]) -> None:
+    with pytest.raises(TypeError, match="there is no setting 'strat': did you mean 'start'"):
+        make(NAME, strat="new")
+
+
+def test_spl_and_success_by_case_follow_from_infos() -> None:
+    env = MemTransferEnv(case=CASES, start=["original", "new"], route=["unchanged", "blocked"], frame_size=64)
+    references = {("original", "unchanged"): "original", ("new", "unchanged"): "test", ("new", "blocked"): "blocked"}
+    scores: dict[str, list[float]] = {}
+    for seed in range(12):
+        _, info = env.reset(seed=seed)
+        _, actions = expert(info["case"], references[info["start"], info["route"]])
+        # A detour of `seed` steps, which the pose does not show.
+        actions = [Action.TURN_LEFT, Action.TURN_RIGHT] * seed + actions
+        for step, action in enumerate(actions, 1):
+            _, _, terminated, _, info = env.step(action)
+            if terminated:
+                break
+        length = info["reference_length"]
+        assert (info["is_success"], step) == (True, length + 2 * seed)
+        scores.setdefault(info["case"], []).append(info["is_success"] * length / max(step, length))
+        assert scores[info["case"]][-1] == length / (length + 2 * seed)
+    assert set(scores) == set(CASES)
+
+
+def test_a_closed_environment_says_so() -> None:
+    env, envs = gymnasium.make(NAME, render_mode="rgb_array", **SMALL), gymnasium.make_vec(NAME, num_envs=2, **SMALL)
+    view = MemTransferVectorEnv(2, copy=False, **SMALL)
+    kept = view.reset(seed=1)[0]["pixels"]
+    env.reset()
+    envs.reset()
+    for one in (env, envs, view):
+        one.close()
+        one.close()
+    calls: list[Callable[[], Any]] = [env.reset, lambda: env.step(0), env.render, envs.reset, lambda: envs.step([0, 0])]
+    for call in calls:
+        with pytest.raises(ClosedEnvironmentError, match="has been closed"):
+            call()
+    assert kept.any()
+
+
+@pytest.mark.parametrize("copied", [lambda env: pickle.loads(pickle.dumps(env)), deepcopy])
+def test_pickles_and_deep_copies_are_new_environments_with_the_same_settings(copied: Callable[[Any], Any]) -> None:
+    settings = {**SMALL, "max_steps": 3, "render_mode": "rgb_array"}
+    for env in (MemTransferEnv(**settings), gymnasium.make(NAME, **settings)):
+        env.reset(seed=5)
+        env.step(Action.TURN_LEFT)
+        another = copied(env)
+        env.close()
+        with pytest.raises(ResetNeeded):
+            another.step(Action.TURN_LEFT)
+        assert data_equivalence(another.reset(seed=4), MemTransferEnv(**settings).reset(seed=4), exact=True)
+        assert [another.step(Action.TURN_LEFT)[3] for _ in range(3)] == [False, False, True]
+        assert another.render() is not None
+    envs = MemTransferVectorEnv(2, autoreset_mode=AutoresetMode.DISABLED, **settings)
+    another = copied(envs)
+    envs.close()
+    assert (another.num_envs, another.autoreset_mode) == (2, AutoresetMode.DISABLED)
+    assert data_equivalence(another.reset(seed=4), MemTransferVectorEnv(2, **settings).reset(seed=4))
+
+
+def test_an_action_is_one_of_the_codes_or_any_integer() -> None:
+    env, envs = MemTransferEnv(**SMALL), MemTransferVectorEnv(2, **SMALL)
+    for action in (Action.TURN_LEFT, 4, np.int64(4), np.uint8(4)):
+        first, _ = env.reset(seed=1)
+        observation = env.step(action)[0]
+        assert observation["pose"].tolist() == [*first["pose"][:2], (first["pose"][2] + 3) % 4]
+        envs.reset(seed=1)
+        assert (envs.step([action, action])[0]["pose"][0] == observation["pose"]).all()
 
 
 def test_an_invalid_action_is_refused() -> None:

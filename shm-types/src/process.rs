@@ -59,6 +59,13 @@ impl ProcessWatch {
         let mut ends = [PollFd::new(&self.process, PollFlags::IN)];
         matches!(poll(&mut ends, Some(&Default::default())), Ok(ready) if ready > 0)
     }
+
+    /// Waits until the process has ended.
+    pub fn wait(&self) {
+        let mut ends = [PollFd::new(&self.process, PollFlags::IN)];
+        // A signal interrupts the call.
+        while !matches!(poll(&mut ends, None), Ok(ready) if ready > 0) {}
+    }
 }
 
 /// The run does not fit into shared memory.

@@ -121,8 +121,9 @@ pub(super) fn stopped_before_episodes(signals: &Signals, meanwhile: &str) -> Exi
     Exit::Signal(signal)
 }
 
-/// The command line that resumes the run: without `--fresh`, which would start over.
+/// The command line that resumes the run: without `--fresh`, which would start over, and without the process that this one ends with.
 pub(super) fn same_command() -> String {
+    let arguments = without_own_flags(std::env::args_os());
     let mut is_header = false;
     let shown = |argument: OsString| {
         let text = argument.to_string_lossy().into_owned();
@@ -135,8 +136,18 @@ pub(super) fn same_command() -> String {
         is_header = text == "--header";
         masked.map_or(argument, OsString::from)
     };
-    let arguments = std::env::args_os().filter(|argument| argument != "--fresh").map(shown);
-    arguments.map(shell_word).collect::<Vec<_>>().join(" ")
+    arguments.map(shown).map(shell_word).collect::<Vec<_>>().join(" ")
+}
+
+/// The arguments without those that are for this invocation alone.
+fn without_own_flags(arguments: impl Iterator<Item = OsString>) -> impl Iterator<Item = OsString> {
+    let mut is_pid = false;
+    arguments.filter(move |argument| {
+        let is_value = std::mem::replace(&mut is_pid, argument == "--die-with");
+        let text = argument.to_string_lossy();
+        let is_own = ["--fresh", "--discard", "--die-with"].contains(&&*text);
+        !(is_value || is_own || text.starts_with("--die-with="))
+    })
 }
 
 #[cfg(test)]
@@ -144,6 +155,15 @@ mod tests {
     use run_log::LogError;
 
     use super::*;
+
+    #[test]
+    fn the_same_command_does_not_name_a_process_that_has_ended() {
+        let given =
+            "memtransfer run --die-with 17 --fresh --limit 5 --die-with=17 --discard --out x";
+        let kept = without_own_flags(given.split(' ').map(OsString::from));
+        let kept: Vec<_> = kept.map(|word| word.into_string().unwrap()).collect();
+        assert_eq!(kept.join(" "), "memtransfer run --limit 5 --out x");
+    }
 
     #[test]
     fn a_full_disk_is_noticed_here_and_in_child_processes() {

@@ -25,6 +25,7 @@ mod list;
 mod map;
 mod memory;
 mod merge;
+mod parent;
 mod plan;
 mod profile;
 mod render;

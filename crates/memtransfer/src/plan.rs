@@ -10,7 +10,7 @@ use conditions::PolicyKind;
 use conditions::settings::RunSettings;
 use domain::cache_folder;
 use orchestrator::run_documents::DocumentSupply;
-use orchestrator::run_plan::{ALL, Purpose, RunPlan};
+use orchestrator::run_plan::{Purpose, RunPlan, Selected};
 use orchestrator::store::{Shipment, Store};
 use orchestrator::units::{UNIT_EPISODES, UnitPlan};
 use settings::{Layer, resolve};
@@ -89,7 +89,7 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
     let signals = Signals::listen().context("cannot listen to signals")?;
     let options = RunOptions::of(args.quiet, base_url_source, header_source);
     let invocation = invocation(&options, &signals);
-    let Some(run) = RunPlan::new(settings, ALL, Purpose::Units, &invocation)? else {
+    let Some(run) = RunPlan::new(settings, &Selected::All, Purpose::Units, &invocation)? else {
         return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
     note_omissions(&run.settings);

@@ -16,7 +16,7 @@ use orchestrator::profile::recorder::AccessRecorder;
 use orchestrator::profile::search;
 use orchestrator::progress::Verbosity;
 use orchestrator::run::{RunOutcome, observe};
-use orchestrator::run_plan::{ALL, Purpose, RunPlan};
+use orchestrator::run_plan::{Purpose, RunPlan, Selected};
 use orchestrator::scratch::ScratchFolder;
 use settings::{Layer, resolve, variable};
 use shm_types::message::Role;
@@ -294,7 +294,7 @@ impl Profiler<'_> {
             }),
             ..Invocation::until(signals.stop())
         };
-        let plan = RunPlan::new(settings, ALL, Purpose::Execution, &invocation)?;
+        let plan = RunPlan::new(settings, &Selected::All, Purpose::Execution, &invocation)?;
         let Some(plan) = plan else { return Ok(None) };
         let mut run = AccessRun {
             caches: way.caches,

@@ -11,7 +11,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use flags::{RunOptions, SettingFlags, source_of};
 use orchestrator::run::RunOutcome;
-use orchestrator::run_plan::{ALL, Purpose, RunPlan};
+use orchestrator::run_plan::{Purpose, RunPlan, Selected};
 use run_log::answers::WithoutAction;
 use run_log::{EpisodeError, RunLog};
 use settings::{Layer, Resolved, resolve};
@@ -21,6 +21,7 @@ use super::execution::{
     same_command, stopped_before_episodes,
 };
 use super::{Exit, commands, print};
+use crate::parent::{self, ParentFlags};
 use crate::signals::{self, Signals};
 
 #[derive(Debug, Args)]
@@ -55,6 +56,17 @@ pub(super) struct RunArgs {
     /// Print the resolved settings, each with its source, and stop
     #[arg(long, conflicts_with = "dry_run")]
     show_settings: bool,
+
+    #[command(flatten)]
+    parent: ParentFlags,
+
+    /// Remove the run's folder when PID has ended
+    #[arg(long, requires = "die_with", help_heading = parent::HEADING)]
+    discard: bool,
+
+    /// Run repetition N of --runs alone
+    #[arg(long, value_name = "N", help_heading = parent::HEADING)]
+    repetition: Option<u32>,
 }
 
 impl RunArgs {
@@ -66,12 +78,22 @@ impl RunArgs {
 }
 
 pub(super) fn run(args: RunArgs) -> Result<Exit> {
+    let parent = args.parent.watch()?;
     let resolved = args.resolve()?;
-    let RunArgs { mut options, show_settings, .. } = args;
-    if show_settings {
+    if args.show_settings {
         print(&resolved.to_string())?;
         return Ok(Exit::Complete);
     }
+    let folder = args.discard.then(|| resolved.settings.out.clone());
+    let outcome = execute_settings(args, resolved);
+    if let Some(folder) = folder {
+        parent.remove_if_ended(&folder)?;
+    }
+    outcome
+}
+
+fn execute_settings(args: RunArgs, resolved: Resolved) -> Result<Exit> {
+    let RunArgs { mut options, repetition, .. } = args;
     options.base_url_source = source_of(resolved.origin("base-url"));
     options.header_source = source_of(resolved.origin("header"));
     let suite = format!("the suite {}", resolved.settings.suite);
@@ -82,7 +104,8 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
     commands::check(&suite, &resolved.commands_of_suite()?, used)?;
     let signals = Signals::listen().context("cannot listen to signals")?;
     let invocation = invocation(&options, &signals);
-    let Some(plan) = RunPlan::new(resolved.settings, ALL, purpose, &invocation)? else {
+    let selected = repetition.map_or(Selected::All, Selected::Repetition);
+    let Some(plan) = RunPlan::new(resolved.settings, &selected, purpose, &invocation)? else {
         return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
     note_omissions(&plan.settings);

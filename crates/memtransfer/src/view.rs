@@ -11,6 +11,7 @@ use viewer::{Address, Site, ViewServer, write_bundle};
 use world_client::{RecordedRun, Selection};
 
 use super::{Exit, WorldCommandArgs, print};
+use crate::parent::ParentFlags;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -43,10 +44,13 @@ pub(super) struct ViewArgs {
     #[arg(long)]
     no_browser: bool,
     #[command(flatten)]
+    parent: ParentFlags,
+    #[command(flatten)]
     world: WorldCommandArgs,
 }
 
 pub(super) fn run(args: &ViewArgs) -> Result<Exit> {
+    args.parent.watch()?;
     let runs = [Some(&args.run), args.other.as_ref()].into_iter().flatten();
     let program = args.world.program()?;
     let mut runs =

@@ -11,12 +11,11 @@ use llm::Source;
 use orchestrator::invocation::Invocation;
 use orchestrator::run::RunOutcome;
 use orchestrator::run_documents::RunDocuments;
-use orchestrator::run_plan::{Purpose, RunPlan};
+use orchestrator::run_plan::{Purpose, RunPlan, Selected};
 use orchestrator::selection::SelectedCases;
 use orchestrator::units::{ReadPlan, UnitPlan};
 use run_log::{Manifest, RunFolder, RunLog, UnitId, finish_unit, unit_folder};
 use settings::{KEYS, Key, Layer, on_this_machine, variable};
-use shm_types::process::die_with_parent;
 
 use super::execution::{
     BUILDING_DOCUMENTS, STARTING_MEMORIES, execute, invocation, note_omissions, over_budget,
@@ -25,6 +24,7 @@ use super::execution::{
 use super::run;
 use super::run::flags::{MachineFlags, RunOptions};
 use super::{Exit, commands, in_one_line, print};
+use crate::parent::ParentFlags;
 use crate::signals::{self, Signals};
 
 #[derive(Debug, Args)]
@@ -55,10 +55,6 @@ pub(super) struct WorkArgs {
     #[arg(long, value_name = "DIR")]
     store: Option<String>,
 
-    /// End with the process PID, which started this one
-    #[arg(long, value_name = "PID")]
-    die_with: Option<u32>,
-
     /// Show no progress, only problems
     #[arg(long)]
     quiet: bool,
@@ -68,13 +64,14 @@ pub(super) struct WorkArgs {
     allow_commands: bool,
 
     #[command(flatten)]
+    parent: ParentFlags,
+
+    #[command(flatten)]
     machine: MachineFlags,
 }
 
 pub(super) fn run(args: WorkArgs) -> Result<Exit> {
-    if let Some(parent) = args.die_with {
-        die_with_parent(parent).context("--die-with")?;
-    }
+    args.parent.watch()?;
     let plan = UnitPlan::read(&args.plan)?;
     let whole = args.out.join(unit_folder(args.unit));
     if whole.exists() {
@@ -163,7 +160,8 @@ fn unit_run(
     settings.out = part;
     let settings = on_this_machine(&settings, layers)?;
     RunFolder::check(&settings.out)?;
-    let Some(mut run) = RunPlan::new(settings, episodes, Purpose::Execution, invocation)? else {
+    let selected = Selected::Range(episodes);
+    let Some(mut run) = RunPlan::new(settings, &selected, Purpose::Execution, invocation)? else {
         return Ok(None);
     };
     note_omissions(&run.settings);

@@ -123,6 +123,42 @@ fn child_of(parent: &Child) -> u32 {
     children.split_whitespace().next().unwrap().parse().unwrap()
 }
 
+/// However it ends, and whichever of its threads has started the run.
+#[test]
+fn a_run_stops_with_the_process_that_it_is_told_to_die_with() {
+    let bench = Bench::new();
+    let begin = |out: &str, more: &[&str]| {
+        let parent = Command::new("sleep").arg("86399").spawn().unwrap();
+        let pid = parent.id().to_string();
+        let child = bench.start(&[&endless(out)[..], &["--die-with", &pid], more].concat());
+        (parent, child)
+    };
+    for (out, more) in [("kept", &[][..]), ("discarded", &["--discard"])] {
+        let (mut parent, child) = begin(out, more);
+        wait_for_episodes(&bench.out(out), 1);
+        parent.kill().unwrap();
+        parent.wait().unwrap();
+        let ended = Ended::of(child).expect(143);
+        assert!(ended.stderr.contains("stopped by SIGTERM: "), "{}", ended.stderr);
+        // The command to resume it does not name a process that has ended.
+        assert!(!ended.stderr.contains("--die-with"), "{}", ended.stderr);
+        assert_eq!(bench.leftovers(), Vec::<String>::new());
+        assert_eq!(bench.out(out).exists(), out == "kept");
+    }
+    // Its end is no reason to remove the run.
+    let (mut parent, child) = begin("ended", &["--discard"]);
+    wait_for_episodes(&bench.out("ended"), 1);
+    terminate(child.id());
+    Ended::of(child).expect(143);
+    assert!(bench.out("ended").exists());
+    let pid = parent.id().to_string();
+    parent.kill().unwrap();
+    parent.wait().unwrap();
+    let ended = bench.run(&[&endless("never")[..], &["--die-with", &pid]].concat()).expect(2);
+    assert!(ended.stderr.contains(&format!("cannot watch process {pid}")), "{}", ended.stderr);
+    assert!(!bench.out("never").exists());
+}
+
 /// A program that does not know what it was started for, and what it has started.
 #[test]
 fn commands_that_are_not_on_the_bus_end_with_the_orchestrator() {

@@ -3,9 +3,7 @@
 use std::fs;
 use std::process::Command;
 
-use memtransfer_tests::{
-    Bench, Ended, eventually, needs, processes_of, program, repository, sorted_log,
-};
+use memtransfer_tests::{Bench, Ended, eventually, needs, program, repository, sorted_log};
 
 const SUITE: &str = r#"
 memory = ["working", "episodic"]
@@ -43,6 +41,8 @@ fn check_messages_without_a_cluster() {
     for (flags, reason) in [
         (["--program", "./nope"], "cannot start ./nope: No such file or directory"),
         (["--work", "--lanes '2"], "--work: No closing quotation"),
+        (["--cpus", "0"], "--cpus: 0 is neither a whole number from 1 nor a fraction of a core"),
+        (["--cpus", "2.5"], "--cpus: 2.5 is neither"),
     ] {
         let said = python(&bench, &[&run[..], &flags].concat()).expect(2).stderr;
         assert!(said.contains(reason) && !said.contains("Traceback"), "{said}");
@@ -79,7 +79,5 @@ fn nodes_that_are_lost_and_added_do_not_change_the_log() {
     let ended = python(&bench, &args.concat()).expect(0);
     assert_eq!(ended.stdout.matches("killed a node").count(), 2, "{}", ended.stdout);
     assert_eq!(sorted_log(&bench.out("merged")), sorted_log(&bench.out("whole")));
-    eventually("processes of lost nodes to end", || {
-        processes_of(bench.registry.path()).is_empty().then_some(())
-    });
+    eventually("runs of lost nodes to end", || bench.leftovers().is_empty().then_some(()));
 }
