@@ -30,8 +30,9 @@ struct EpisodeRow<'a> {
     error: Option<&'a str>,
 }
 
-/// A row for each episode of the runs, whose failures are compared with the successes beside them, with a column for each of `facts`. An episode that was given up has
-/// the ending `given-up`, its key, its condition and its error, and no other figure.
+/// A row for each episode of the runs, whose failures are compared with the successes beside them. There is a column for each of
+/// `facts`, which worlds tell. An episode that was given up has the ending `given-up`, its key, its condition and its error, and no
+/// other figure.
 pub fn episodes_frame<'a>(
     runs: &[(&'a RunLog, &Successes)],
     facts: &BTreeSet<String>,
@@ -60,61 +61,61 @@ pub fn episodes_frame<'a>(
     }
     let mut frame = FrameBuilder::new(rows);
     add_run(&mut frame, |row| row.log);
-    frame.text("key", move |row| Some(row.key.to_owned()));
+    frame.text("key", |row| Some(row.key.to_owned()));
     add_condition(&mut frame, |row| Some(row.parts.as_ref()?.condition));
-    frame.whole("run", move |row| Some(row.parts.as_ref()?.run));
-    frame.text("case", move |row| Some(row.parts.as_ref()?.case.clone()));
-    frame.whole("task", move |row| Some(row.record?.task));
-    frame.word("group", move |row| Some(row.log.world.group_of(row.record?.task)?.to_owned()));
-    frame.natural("seed", move |row| Some(row.record?.seed));
-    frame.word("ending", move |row| {
+    frame.whole("run", |row| Some(row.parts.as_ref()?.run));
+    frame.text("case", |row| Some(row.parts.as_ref()?.case.clone()));
+    frame.whole("task", |row| Some(row.record?.task));
+    frame.word("group", |row| Some(row.log.world.group_of(row.record?.task)?.to_owned()));
+    frame.natural("seed", |row| Some(row.record?.seed));
+    frame.word("ending", |row| {
         Some(row.record.map_or("given-up".to_owned(), |record| record.ending.to_string()))
     });
-    frame.flag("success", move |row| Some(row.record?.is_success()));
-    frame.real("spl", move |row| Some(path_weight(row.record?)));
-    frame.text("error", move |row| row.error.map(str::to_owned));
+    frame.flag("success", |row| Some(row.record?.is_success()));
+    frame.real("spl", |row| Some(path_weight(row.record?)));
+    frame.text("error", |row| row.error.map(str::to_owned));
     frame.word("failure", move |row| Some(failure_of(row.record?, &row.log.world)?.kind));
-    frame.whole("last_progress", move |row| Some(row.points.as_ref()?.last_progress));
-    frame.whole("first_repetition", move |row| row.points.as_ref()?.first_repetition());
+    frame.whole("last_progress", |row| Some(row.points.as_ref()?.last_progress));
+    frame.whole("first_repetition", |row| row.points.as_ref()?.first_repetition());
     let divergence = |row: &EpisodeRow<'_>| row.points.as_ref()?.divergence.clone();
     frame.whole("unlike_success_at", move |row| Some(divergence(row)?.step));
     frame.text("unlike_success", move |row| Some(divergence(row)?.success));
-    frame.whole("steps", move |row| Some(row.record?.steps));
-    frame.whole("reference", move |row| Some(row.record?.reference));
-    frame.whole("sub_goals_met", move |row| Some(row.record?.sub_goals.len()));
-    frame.whole("sub_goals", move |row| Some(row.record?.required));
-    frame.flag("conflict", move |row| row.record?.had_conflict());
-    frame.text("actions", move |row| Some(row.record?.actions.clone()));
-    frame.whole("requests", move |row| row.record?.requests);
-    frame.whole("images", move |row| row.record?.images);
-    frame.whole("images_dropped", move |row| Some(row.record?.images_dropped));
-    frame.whole("prompt_tokens", move |row| row.record?.prompt_tokens);
-    frame.whole("completion_tokens", move |row| row.record?.completion_tokens);
-    frame.whole("memory_tokens", move |row| row.record?.memory_tokens);
-    frame.whole("unread", move |row| Some(row.record?.unread.total()));
-    frame.whole("unreadable", move |row| Some(row.record?.unread.unreadable));
-    frame.whole("empty", move |row| Some(row.record?.unread.empty));
-    frame.whole("refused", move |row| Some(row.record?.unread.refused));
-    frame.whole("cut_off", move |row| Some(row.record?.unread.cut_off));
-    frame.text("retrieved", move |row| row.record?.retrieved.clone());
-    frame.real("distance", move |row| row.record?.distance);
-    frame.whole("memory_items_dropped", move |row| Some(row.record?.memory_items_dropped));
-    frame.whole("memory_images_dropped", move |row| Some(row.record?.memory_images_dropped));
-    frame.whole("memory_text_dropped", move |row| Some(row.record?.memory_text_dropped));
+    frame.whole("steps", |row| Some(row.record?.steps));
+    frame.whole("reference", |row| Some(row.record?.reference));
+    frame.whole("sub_goals_met", |row| Some(row.record?.sub_goals.len()));
+    frame.whole("sub_goals", |row| Some(row.record?.required));
+    frame.flag("conflict", |row| row.record?.had_conflict());
+    frame.text("actions", |row| Some(row.record?.actions.clone()));
+    frame.whole("requests", |row| row.record?.requests);
+    frame.whole("images", |row| row.record?.images);
+    frame.whole("images_dropped", |row| Some(row.record?.images_dropped));
+    frame.whole("prompt_tokens", |row| row.record?.prompt_tokens);
+    frame.whole("completion_tokens", |row| row.record?.completion_tokens);
+    frame.whole("memory_tokens", |row| row.record?.memory_tokens);
+    frame.whole("unread", |row| Some(row.record?.unread.total()));
+    frame.whole("unreadable", |row| Some(row.record?.unread.unreadable));
+    frame.whole("empty", |row| Some(row.record?.unread.empty));
+    frame.whole("refused", |row| Some(row.record?.unread.refused));
+    frame.whole("cut_off", |row| Some(row.record?.unread.cut_off));
+    frame.text("retrieved", |row| row.record?.retrieved.clone());
+    frame.real("distance", |row| row.record?.distance);
+    frame.whole("memory_items_dropped", |row| Some(row.record?.memory_items_dropped));
+    frame.whole("memory_images_dropped", |row| Some(row.record?.memory_images_dropped));
+    frame.whole("memory_text_dropped", |row| Some(row.record?.memory_text_dropped));
     fn recalls(row: &EpisodeRow<'_>) -> Option<RecallTotals> {
         Some(row.timings?.recalls).filter(|recalls| !recalls.is_none())
     }
-    frame.whole("recalls", move |row| Some(recalls(row)?.requests));
-    frame.whole("recalled_items", move |row| Some(recalls(row)?.items));
-    frame.whole("recalled_images", move |row| Some(recalls(row)?.images));
-    frame.whole("recalled_text", move |row| Some(recalls(row)?.text));
-    frame.whole("store_bytes", move |row| recalls(row)?.store_bytes);
-    frame.whole("method_ns", move |row| recalls(row)?.method_ns);
-    frame.whole("answer_ns", move |row| recalls(row)?.answer_ns);
-    frame.whole("model_tokens_of_memory", move |row| recalls(row)?.tokens);
-    frame.whole("original_invalidated", move |row| Some(i64::from(row.record?.blocked?.invalidated)));
-    frame.whole("sources_blocked", move |row| Some(row.record?.blocked?.retrievals));
-    frame.whole("stale_blocked", move |row| Some(row.record?.blocked?.stale));
+    frame.whole("recalls", |row| Some(recalls(row)?.requests));
+    frame.whole("recalled_items", |row| Some(recalls(row)?.items));
+    frame.whole("recalled_images", |row| Some(recalls(row)?.images));
+    frame.whole("recalled_text", |row| Some(recalls(row)?.text));
+    frame.whole("store_bytes", |row| recalls(row)?.store_bytes);
+    frame.whole("method_ns", |row| recalls(row)?.method_ns);
+    frame.whole("answer_ns", |row| recalls(row)?.answer_ns);
+    frame.whole("model_tokens_of_memory", |row| recalls(row)?.tokens);
+    frame.whole("original_invalidated", |row| Some(i64::from(row.record?.blocked?.invalidated)));
+    frame.whole("sources_blocked", |row| Some(row.record?.blocked?.retrievals));
+    frame.whole("stale_blocked", |row| Some(row.record?.blocked?.stale));
     add_stream(&mut frame, |row| row.record?.stream.as_ref());
     add_world(&mut frame, facts);
     for (index, stage) in Stages::NAMES.into_iter().enumerate() {
@@ -154,13 +155,13 @@ pub fn timings_frame(logs: &[RunLog]) -> DataFrame<'_> {
         logs.iter().flat_map(|log| log.timings.iter().map(move |timings| (log, timings))).collect();
     let mut frame = FrameBuilder::new(rows);
     add_run(&mut frame, |(log, _)| log);
-    frame.text("key", move |(_, timings)| Some(timings.key.clone()));
-    frame.whole("session", move |(_, timings)| Some(timings.session));
-    frame.whole("attempt", move |(_, timings)| Some(timings.attempt));
-    frame.whole("lane", move |(_, timings)| Some(timings.lane));
-    frame.whole("started_ns", move |(_, timings)| Some(timings.started_ns));
-    frame.whole("ended_ns", move |(_, timings)| Some(timings.ended_ns));
-    frame.whole("steps", move |(_, timings)| Some(timings.steps));
+    frame.text("key", |(_, timings)| Some(timings.key.clone()));
+    frame.whole("session", |(_, timings)| Some(timings.session));
+    frame.whole("attempt", |(_, timings)| Some(timings.attempt));
+    frame.whole("lane", |(_, timings)| Some(timings.lane));
+    frame.whole("started_ns", |(_, timings)| Some(timings.started_ns));
+    frame.whole("ended_ns", |(_, timings)| Some(timings.ended_ns));
+    frame.whole("steps", |(_, timings)| Some(timings.steps));
     for (index, stage) in Stages::NAMES.into_iter().enumerate() {
         frame.whole(format!("{stage}_ns"), move |(_, timings)| Some(timings.stages.values()[index]));
     }
@@ -175,16 +176,16 @@ pub(super) fn conditions<'a>(views: &'a [ScoredRun<'a>]) -> DataFrame<'a> {
         .collect();
     let mut frame = FrameBuilder::new(rows);
     add_run(&mut frame, |(view, _)| view.log);
-    frame.word("frames", move |(view, _)| Some(view.log.manifest.settings.frames.to_string()));
-    frame.text("condition", move |(_, score)| Some(score.condition.to_string()));
+    frame.word("frames", |(view, _)| Some(view.log.manifest.settings.frames.to_string()));
+    frame.text("condition", |(_, score)| Some(score.condition.to_string()));
     add_condition(&mut frame, |(_, score)| Some(score.condition));
-    frame.text("memory_label", move |(view, score)| Some(view.label(score.condition.memory)));
-    frame.whole("episodes", move |(_, score)| Some(score.episodes));
-    frame.whole("planned", move |(_, score)| Some(score.planned));
-    frame.real("sr_if_missing_fail", move |(_, score)| Some(score.bounds?.sr.low));
-    frame.real("sr_if_missing_succeed", move |(_, score)| Some(score.bounds?.sr.high));
-    frame.whole("runs", move |(_, score)| Some(score.runs));
-    frame.whole("cases", move |(_, score)| Some(score.cases));
+    frame.text("memory_label", |(view, score)| Some(view.label(score.condition.memory)));
+    frame.whole("episodes", |(_, score)| Some(score.episodes));
+    frame.whole("planned", |(_, score)| Some(score.planned));
+    frame.real("sr_if_missing_fail", |(_, score)| Some(score.bounds?.sr.low));
+    frame.real("sr_if_missing_succeed", |(_, score)| Some(score.bounds?.sr.high));
+    frame.whole("runs", |(_, score)| Some(score.runs));
+    frame.whole("cases", |(_, score)| Some(score.cases));
     type OfSpread = fn(&ConditionScore) -> Option<Spread>;
     let spreads: [(&str, OfSpread); 9] = [
         ("sr", |score| Some(score.sr)),
@@ -241,7 +242,7 @@ pub(super) fn conditions<'a>(views: &'a [ScoredRun<'a>]) -> DataFrame<'a> {
         frame.real(name.clone(), move |(_, score)| Some(of(score)?.mean));
         frame.real(format!("{name}_std"), move |(_, score)| of(score)?.std);
     }
-    frame.real("mean_steps", move |(_, score)| score.mean_steps);
+    frame.real("mean_steps", |(_, score)| score.mean_steps);
     for kind in names(views, |world| world.failures.iter().map(|kind| &kind.name).collect()) {
         let name = format!("failed_{}", kind.replace('-', "_"));
         frame.whole(name, move |(_, score)| {
@@ -337,12 +338,12 @@ pub(super) fn streams<'a>(views: &'a [ScoredRun<'a>]) -> DataFrame<'a> {
     let most = rows.iter().map(|(_, score)| score.matrix.len()).max().unwrap_or(0);
     let mut frame = FrameBuilder::new(rows);
     add_run(&mut frame, |(view, _)| view.log);
-    frame.text("condition", move |(_, score)| Some(score.condition.to_string()));
+    frame.text("condition", |(_, score)| Some(score.condition.to_string()));
     add_condition(&mut frame, |(_, score)| Some(score.condition));
-    frame.text("memory_label", move |(view, score)| Some(view.label(score.condition.memory)));
-    frame.whole("streams", move |(_, score)| Some(score.streams));
-    frame.whole("sequences", move |(_, score)| Some(score.sequences));
-    frame.whole("planned", move |(_, score)| Some(score.planned));
+    frame.text("memory_label", |(view, score)| Some(view.label(score.condition.memory)));
+    frame.whole("streams", |(_, score)| Some(score.streams));
+    frame.whole("sequences", |(_, score)| Some(score.sequences));
+    frame.whole("planned", |(_, score)| Some(score.planned));
     type Figure = fn(&StreamScore) -> Option<Estimate>;
     let figures: [(&str, Figure); 15] = [
         ("success", |score| score.success),

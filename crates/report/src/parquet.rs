@@ -109,3 +109,85 @@ fn schema(frame: &DataFrame<'_>) -> ParquetResult<TypePtr> {
     let columns = frame.columns.iter().map(column).collect::<ParquetResult<_>>()?;
     Ok(Arc::new(Type::group_type_builder("memtransfer").with_fields(columns).build()?))
 }
+
+#[cfg(test)]
+mod tests {
+    use std::rc::Rc;
+
+    use parquet::basic::Encoding;
+    use parquet::file::reader::{FileReader, SerializedFileReader};
+    use parquet::record::Field;
+
+    use super::*;
+    use crate::{FrameFile, TableFormat};
+
+    type Row = (Option<&'static str>, Option<i64>, Option<u64>, Option<f64>, Option<bool>);
+
+    fn frame(rows: Vec<Row>) -> DataFrame<'static> {
+        let rows: Rc<[Row]> = rows.into();
+        let count = rows.len();
+        let text = |rows: Rc<[Row]>| -> Value<'static, String> {
+            Box::new(move |row| rows[row].0.map(str::to_owned))
+        };
+        let (word, key) = (text(Rc::clone(&rows)), text(Rc::clone(&rows)));
+        let [whole, natural, real] = [(); 3].map(|()| Rc::clone(&rows));
+        let columns = [
+            ("key", Values::Text(key)),
+            ("memory", Values::Word(word)),
+            ("steps", Values::Whole(Box::new(move |row| whole[row].1))),
+            ("seed", Values::Natural(Box::new(move |row| natural[row].2))),
+            ("spl", Values::Real(Box::new(move |row| real[row].3))),
+            ("success", Values::Flag(Box::new(move |row| rows[row].4))),
+        ];
+        let columns = columns.map(|(name, values)| Series { name: name.to_owned(), values });
+        DataFrame { rows: count, columns: columns.into() }
+    }
+
+    #[test]
+    fn a_file_has_a_row_group_for_each_part_compressed_and_with_dictionaries() {
+        let first: Vec<Row> = (0..1000)
+            .map(|row| (Some("episodic"), Some(row), Some(u64::MAX), Some(0.5), Some(row % 2 == 0)))
+            .collect();
+        let second: Vec<Row> = vec![(Some("ä"), Some(i64::MIN), None, Some(-0.1), None), (None, None, Some(0), None, None)];
+        let mut file = Vec::new();
+        let mut out = FrameFile::create(TableFormat::Parquet, &frame(Vec::new()), &mut file).unwrap();
+        for part in [&first, &second] {
+            out.write(&frame(part.clone())).unwrap();
+        }
+        out.finish().unwrap();
+        assert!(file.len() < 12_000, "{} bytes", file.len());
+        let reader = SerializedFileReader::new(bytes(file)).unwrap();
+        let groups = reader.metadata().row_groups();
+        assert_eq!(groups.iter().map(|group| group.num_rows()).collect::<Vec<_>>(), [1000, 2]);
+        for column in groups[0].columns() {
+            assert!(matches!(column.compression(), Compression::ZSTD(_)));
+            let has_dictionary = column.encodings().any(|one| one == Encoding::RLE_DICTIONARY);
+            assert_eq!(has_dictionary, column.column_type() != PhysicalType::BOOLEAN);
+        }
+        let rows = reader.get_row_iter(None).unwrap();
+        for (row, expected) in rows.zip(first.into_iter().chain(second)) {
+            let row = row.unwrap();
+            let fields: Vec<&Field> = row.get_column_iter().map(|(_, field)| field).collect();
+            let (text, whole, natural, real, flag) = expected;
+            let text = text.map_or(Field::Null, |text| Field::Str(text.to_owned()));
+            let expected = [
+                &text,
+                &text,
+                &whole.map_or(Field::Null, Field::Long),
+                &natural.map_or(Field::Null, Field::ULong),
+                &real.map_or(Field::Null, Field::Double),
+                &flag.map_or(Field::Null, Field::Bool),
+            ];
+            assert_eq!(fields, expected);
+        }
+    }
+
+    /// What the reader reads from.
+    fn bytes(file: Vec<u8>) -> std::fs::File {
+        use std::io::Seek;
+        let mut on_disk = tempfile::tempfile().unwrap();
+        on_disk.write_all(&file).unwrap();
+        on_disk.rewind().unwrap();
+        on_disk
+    }
+}

@@ -269,3 +269,112 @@ fn entry<T: DeserializeOwned>(
     let read = line.and_then(|line| sealed::read(&line.text).map_err(io::Error::other));
     read.map_err(system("read a scratch file in", scratch))
 }
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+    use crate::manifest::Manifest;
+    use crate::records::{manifest, record};
+
+    /// A run in `dir` with these records, two damaged lines, a record that occurs twice, timings in another order, of which one was
+    /// measured twice, and requests of an attempt that was given up.
+    fn write_run(dir: &Path, records: &[EpisodeRecord]) {
+        let manifest: Manifest = manifest();
+        manifest.write(dir).unwrap();
+        let journal = |file: &str, lines: &[Vec<u8>]| {
+            fs::write(dir.join(file), lines.concat()).unwrap();
+        };
+        let mut lines: Vec<Vec<u8>> =
+            records.iter().map(|record| sealed::line(record).unwrap()).collect();
+        lines.insert(1, b"damaged\n".to_vec());
+        lines.push(lines[0].clone());
+        lines.push(b"{\"key\":\"torn".to_vec());
+        journal(EPISODES_FILE, &lines);
+        let of = |record: &EpisodeRecord, session: u32| {
+            let mut timings = crate::records::timings(record);
+            timings.session = session;
+            timings
+        };
+        let mut lines: Vec<Vec<u8>> =
+            records.iter().rev().map(|one| sealed::line(&of(one, 1)).unwrap()).collect();
+        lines.push(sealed::line(&of(&records[0], 2)).unwrap());
+        lines.push(b"?\n".to_vec());
+        journal(TIMINGS_FILE, &lines);
+        let mut lines = Vec::new();
+        for step in [0, 1, 0, 1] {
+            for record in records {
+                lines.push(sealed::line(&crate::records::request(&record.key, step)).unwrap());
+            }
+        }
+        journal(REQUESTS_FILE, &lines);
+        let error = |key: &str| {
+            let error =
+                EpisodeError { key: key.to_owned(), session: 1, error: "it fell".to_owned() };
+            sealed::line(&error).unwrap()
+        };
+        journal(ERRORS_FILE, &[error(&records[0].key), error("other"), error("other")]);
+    }
+
+    fn records() -> Vec<EpisodeRecord> {
+        let cases = ["d", "a", "c", "b", "e"];
+        let seed = manifest().settings.seed;
+        let keyed = cases.iter().map(|case| {
+            let mut one = record(case, *case != "c");
+            one.seed = one.own_key().seed(seed);
+            one
+        });
+        keyed.collect()
+    }
+
+    #[test]
+    fn parts_together_are_the_log_and_episodes_come_in_its_order() {
+        let folder = tempfile::tempdir().unwrap();
+        write_run(folder.path(), &records());
+        let log = RunLog::read(folder.path()).unwrap();
+        assert_eq!(log.damaged.len(), 3, "{:?}", log.damaged);
+        let mut parts = RunParts::open(folder.path(), folder.path()).unwrap();
+        assert_eq!(parts.head().damaged, log.damaged);
+        assert_eq!(parts.head().errors, log.errors);
+        assert_eq!(parts.head().sessions, log.sessions);
+        let episodes: Result<Vec<_>, _> = parts.episodes().collect();
+        assert_eq!(episodes.unwrap(), log.episodes);
+        for most in [1, 2, 9] {
+            let read: Vec<RunLog> =
+                parts.parts(most, |_| 1).collect::<Result<_, _>>().unwrap();
+            assert_eq!(read.len(), log.episodes.len().div_ceil(most));
+            let joined = |of: fn(&RunLog) -> usize| read.iter().map(of).sum::<usize>();
+            assert_eq!(joined(|part| part.errors.len()), 0);
+            let episodes: Vec<_> = read.iter().flat_map(|part| part.episodes.clone()).collect();
+            assert_eq!(episodes, log.episodes);
+            let timings: Vec<_> = read.iter().flat_map(|part| part.timings.clone()).collect();
+            assert_eq!(timings, log.timings);
+            let mut requests = log.requests.clone();
+            requests.sort_by(|a, b| a.key.cmp(&b.key));
+            let found: Vec<_> = read.iter().flat_map(|part| part.requests.clone()).collect();
+            assert_eq!(found, requests);
+        }
+        parts.retain(|record| !record.is_success()).unwrap();
+        let whole = parts.whole().unwrap();
+        assert_eq!((whole.episodes.len(), whole.timings.len(), whole.requests.len()), (1, 1, 4));
+
+        let mut reader = EpisodeReader::open(folder.path()).unwrap();
+        let first = reader.next().unwrap().unwrap();
+        assert_eq!((first, reader.damaged().len()), (records().remove(0), 0), "no more is read");
+        let rest: Vec<_> = reader.by_ref().collect::<Result<_, _>>().unwrap();
+        assert_eq!(rest, records()[1..]);
+        assert_eq!(reader.damaged(), &log.damaged[..2]);
+    }
+
+    #[test]
+    fn a_run_without_journals_has_no_parts() {
+        let folder = tempfile::tempdir().unwrap();
+        manifest().write(folder.path()).unwrap();
+        let parts = RunParts::open(folder.path(), folder.path()).unwrap();
+        assert!(parts.parts(9, |_| 1).next().is_none() && parts.whole().unwrap().episodes.is_empty());
+        assert!(EpisodeReader::open(folder.path()).unwrap().next().is_none());
+        let none = folder.path().join("none");
+        assert!(matches!(RunParts::open(&none, folder.path()), Err(LogError::NoRun(_))));
+    }
+}
