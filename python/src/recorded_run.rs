@@ -5,9 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, bail, ensure};
 use case_book::act::{ActedDemonstration, DemonstrationsRequest, EpisodeParts, Target};
-use domain::{
-    Action, Cell, DemonstrationKind, Heading, Mismatch, Pose, Route, Start, State,
-};
+use domain::{Action, Cell, DemonstrationKind, Heading, Mismatch, Pose, Route, Start, State};
 use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;

@@ -1,7 +1,7 @@
 //! Tables of episodes and steps.
 
 use std::collections::BTreeSet;
-use std::io::{BufWriter, Write};
+use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
@@ -73,20 +73,14 @@ fn write_frames(
     let written = || format!("cannot write {}", path.display());
     write_whole(path, |draft| {
         let out = durable::output::create(draft).with_context(written)?;
-        let mut out = BufWriter::new(out);
-        let mut file = None;
+        let (mut out, mut file) = (Some(BufWriter::new(out)), None);
         each(&mut |frame| {
-            let mut write = || {
-                let file = match &mut file {
-                    Some(file) => file,
-                    none => none.insert(FrameFile::create(format, frame, &mut out)?),
-                };
-                file.write(frame)
-            };
-            write().with_context(written)
+            if let Some(out) = out.take() {
+                file = Some(FrameFile::create(format, frame, out).with_context(written)?);
+            }
+            file.as_mut().map_or(Ok(()), |file| file.write(frame)).with_context(written)
         })?;
-        file.map_or(Ok(()), FrameFile::finish).with_context(written)?;
-        out.flush().with_context(written)
+        file.map_or(Ok(()), FrameFile::finish).with_context(written)
     })
 }
 

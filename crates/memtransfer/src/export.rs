@@ -207,9 +207,10 @@ impl ExportArgs {
                 cases.as_ref().is_none_or(|cases| cases.contains(key.case.as_str()))
                     && self.condition.as_ref().is_none_or(|words| key.condition.has_words(words))
             };
-            parts.head_mut().errors.retain(|error| {
-                EpisodeKey::read(&error.key).is_some_and(|key| is_chosen(&key))
-            });
+            parts
+                .head_mut()
+                .errors
+                .retain(|error| EpisodeKey::read(&error.key).is_some_and(|key| is_chosen(&key)));
             count = 0;
             parts.retain(|record| {
                 let is_chosen = is_chosen(&record.own_key());

@@ -163,7 +163,8 @@ pub fn timings_frame(logs: &[RunLog]) -> DataFrame<'_> {
     frame.whole("ended_ns", |(_, timings)| Some(timings.ended_ns));
     frame.whole("steps", |(_, timings)| Some(timings.steps));
     for (index, stage) in Stages::NAMES.into_iter().enumerate() {
-        frame.whole(format!("{stage}_ns"), move |(_, timings)| Some(timings.stages.values()[index]));
+        frame
+            .whole(format!("{stage}_ns"), move |(_, timings)| Some(timings.stages.values()[index]));
     }
     frame.finish()
 }
@@ -226,7 +227,9 @@ pub(super) fn conditions<'a>(views: &'a [ScoredRun<'a>]) -> DataFrame<'a> {
         frame.real(name, move |(view, score)| Some(difference(&control(view, score)?)?.sr.mean));
         frame.interval(name, move |(view, score)| difference(&control(view, score)?)?.sr.interval);
     }
-    frame.whole("necessity_cases", move |(view, score)| Some(control(view, score)?.necessity?.cases));
+    frame.whole("necessity_cases", move |(view, score)| {
+        Some(control(view, score)?.necessity?.cases)
+    });
     frame.whole("certified", move |(view, score)| Some(control(view, score)?.necessity?.certified));
     frame.real("sr_certified", move |(view, score)| {
         let necessity = control(view, score)?.necessity?;

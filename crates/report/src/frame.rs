@@ -145,7 +145,11 @@ impl<'a, T: 'a> FrameBuilder<'a, T> {
         self.real(format!("{name}_high"), move |row| Some(value(row)?.high));
     }
 
-    pub(super) fn flag(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<bool> + 'a) {
+    pub(super) fn flag(
+        &mut self,
+        name: impl Into<String>,
+        value: impl Fn(&T) -> Option<bool> + 'a,
+    ) {
         self.add(name, Values::Flag(self.value(value)));
     }
 

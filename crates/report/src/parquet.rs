@@ -6,9 +6,7 @@ use std::io::{self, Write};
 use std::sync::Arc;
 
 use parquet::basic::{Compression, LogicalType, Repetition, Type as PhysicalType, ZstdLevel};
-use parquet::data_type::{
-    BoolType, ByteArray, ByteArrayType, DataType, DoubleType, Int64Type,
-};
+use parquet::data_type::{BoolType, ByteArray, ByteArrayType, DataType, DoubleType, Int64Type};
 use parquet::errors::Result as ParquetResult;
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use parquet::file::writer::{SerializedColumnWriter, SerializedFileWriter};
@@ -34,7 +32,12 @@ impl<W: Write + Send> ParquetFile<W> {
     }
 
     /// Adds the rows `from..to` of `frame` as a row group.
-    pub(super) fn write(&mut self, frame: &DataFrame<'_>, from: usize, to: usize) -> io::Result<()> {
+    pub(super) fn write(
+        &mut self,
+        frame: &DataFrame<'_>,
+        from: usize,
+        to: usize,
+    ) -> io::Result<()> {
         let mut group = self.0.next_row_group()?;
         for series in &frame.columns {
             let missing = || io::Error::other("the frame has another column than before");
@@ -46,9 +49,8 @@ impl<W: Write + Send> ParquetFile<W> {
         Ok(())
     }
 
-    pub(super) fn finish(mut self) -> io::Result<()> {
-        self.0.finish()?;
-        Ok(())
+    pub(super) fn finish(self) -> io::Result<()> {
+        self.0.into_inner()?.flush()
     }
 }
 
@@ -77,12 +79,12 @@ fn write_column(
     let rows = from..to;
     match values {
         Values::Text(value) | Values::Word(value) => {
-            write::<ByteArrayType, _>(column, rows, value, |text| ByteArray::from(text.into_bytes()))
+            write::<ByteArrayType, _>(column, rows, value, |text| {
+                ByteArray::from(text.into_bytes())
+            })
         }
         Values::Whole(value) => write::<Int64Type, _>(column, rows, value, |whole| whole),
-        Values::Natural(value) => {
-            write::<Int64Type, _>(column, rows, value, u64::cast_signed)
-        }
+        Values::Natural(value) => write::<Int64Type, _>(column, rows, value, u64::cast_signed),
         Values::Real(value) => write::<DoubleType, _>(column, rows, value, |real| real),
         Values::Flag(value) => write::<BoolType, _>(column, rows, value, |flag| flag),
     }
@@ -95,9 +97,7 @@ fn schema(frame: &DataFrame<'_>) -> ParquetResult<TypePtr> {
                 (PhysicalType::BYTE_ARRAY, Some(LogicalType::String))
             }
             Values::Whole(_) => (PhysicalType::INT64, None),
-            Values::Natural(_) => {
-                (PhysicalType::INT64, Some(LogicalType::integer(64, false)))
-            }
+            Values::Natural(_) => (PhysicalType::INT64, Some(LogicalType::integer(64, false))),
             Values::Real(_) => (PhysicalType::DOUBLE, None),
             Values::Flag(_) => (PhysicalType::BOOLEAN, None),
         };
@@ -148,9 +148,13 @@ mod tests {
         let first: Vec<Row> = (0..1000)
             .map(|row| (Some("episodic"), Some(row), Some(u64::MAX), Some(0.5), Some(row % 2 == 0)))
             .collect();
-        let second: Vec<Row> = vec![(Some("ä"), Some(i64::MIN), None, Some(-0.1), None), (None, None, Some(0), None, None)];
+        let second: Vec<Row> = vec![
+            (Some("ä"), Some(i64::MIN), None, Some(-0.1), None),
+            (None, None, Some(0), None, None),
+        ];
         let mut file = Vec::new();
-        let mut out = FrameFile::create(TableFormat::Parquet, &frame(Vec::new()), &mut file).unwrap();
+        let mut out =
+            FrameFile::create(TableFormat::Parquet, &frame(Vec::new()), &mut file).unwrap();
         for part in [&first, &second] {
             out.write(&frame(part.clone())).unwrap();
         }

@@ -262,10 +262,7 @@ impl<'a, T: DeserializeOwned> Joined<'a, T> {
 }
 
 /// The entry of a sorted line.
-fn entry<T: DeserializeOwned>(
-    scratch: &Path,
-    line: io::Result<KeyedLine>,
-) -> Result<T, LogError> {
+fn entry<T: DeserializeOwned>(scratch: &Path, line: io::Result<KeyedLine>) -> Result<T, LogError> {
     let read = line.and_then(|line| sealed::read(&line.text).map_err(io::Error::other));
     read.map_err(system("read a scratch file in", scratch))
 }
@@ -341,8 +338,7 @@ mod tests {
         let episodes: Result<Vec<_>, _> = parts.episodes().collect();
         assert_eq!(episodes.unwrap(), log.episodes);
         for most in [1, 2, 9] {
-            let read: Vec<RunLog> =
-                parts.parts(most, |_| 1).collect::<Result<_, _>>().unwrap();
+            let read: Vec<RunLog> = parts.parts(most, |_| 1).collect::<Result<_, _>>().unwrap();
             assert_eq!(read.len(), log.episodes.len().div_ceil(most));
             let joined = |of: fn(&RunLog) -> usize| read.iter().map(of).sum::<usize>();
             assert_eq!(joined(|part| part.errors.len()), 0);
@@ -372,7 +368,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         manifest().write(folder.path()).unwrap();
         let parts = RunParts::open(folder.path(), folder.path()).unwrap();
-        assert!(parts.parts(9, |_| 1).next().is_none() && parts.whole().unwrap().episodes.is_empty());
+        assert!(
+            parts.parts(9, |_| 1).next().is_none() && parts.whole().unwrap().episodes.is_empty()
+        );
         assert!(EpisodeReader::open(folder.path()).unwrap().next().is_none());
         let none = folder.path().join("none");
         assert!(matches!(RunParts::open(&none, folder.path()), Err(LogError::NoRun(_))));

@@ -37,7 +37,8 @@ def write(selected: Selected, name: str) -> str:
     namespace_file = library("minari.namespace", "minari").NAMESPACE_METADATA_FILENAME
     try:
         parse_dataset_id(name)
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
+        # The version is missing, or the id has another form.
         raise ExportError(
             f"{name!r} is no id of a Minari data set: write one like memtransfer/quick-v0, with a version"
         ) from error
