@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use case_book::act::EpisodeParts;
 use report::{DataFrame, FrameFile, TableFormat, episodes_frame, steps_frame, world_facts};
-use run_log::{EpisodeRecord, RunLog, RunParts};
+use run_log::{EpisodeRecord, RunParts};
 use scores::Successes;
 use world_client::{EpisodeTimeline, RunWorld};
 
@@ -38,9 +38,8 @@ pub fn write_tables(
     let (episodes, steps) = (file("episodes"), file("steps"));
     let head = parts.head();
     write_frames(&episodes, format, |write| {
-        let given_up = RunLog { episodes: Vec::new(), timings: Vec::new(), ..head.clone() };
-        let finished = parts.parts(EPISODES, |_| 1);
-        for part in finished.chain([Ok(given_up)]) {
+        // Then those that were given up, which are beside the parts.
+        for part in parts.parts(EPISODES, |_| 1).chain([Ok(head.clone())]) {
             write(&episodes_frame(&[(&part?, successes)], &facts))?;
         }
         Ok(())
@@ -48,14 +47,14 @@ pub fn write_tables(
     write_frames(&steps, format, |write| {
         let moments = |record: &EpisodeRecord| record.steps as usize + 1;
         // Without an episode there are columns, too.
-        let none = RunLog { episodes: Vec::new(), ..head.clone() };
-        write(&steps_frame(&none, world.declaration(), &[]))?;
+        write(&steps_frame(head, world.declaration(), &[]))?;
         for part in parts.parts(STEPS, moments) {
             let part = part?;
+            // Nothing of a step says how the episode compares with successes.
+            let none = Successes::default();
             let records = part.episodes.iter();
-            let timelines = records.map(|record| {
-                EpisodeTimeline::new(world, record, successes, EpisodeParts::default())
-            });
+            let timelines = records
+                .map(|record| EpisodeTimeline::new(world, record, &none, EpisodeParts::default()));
             let timelines: Vec<_> = timelines.collect::<Result<_>>()?;
             write(&steps_frame(&part, world.declaration(), &timelines))?;
         }
