@@ -9,7 +9,7 @@ use case_book::act::EpisodeParts;
 use report::{DataFrame, FrameFile, TableFormat, episodes_frame, steps_frame, world_facts};
 use run_log::{EpisodeRecord, RunParts};
 use scores::Successes;
-use world_client::{EpisodeTimeline, RunWorld};
+use world_client::{EpisodeTimeline, RecordedRun};
 
 use crate::files::write_whole;
 
@@ -18,18 +18,18 @@ const EPISODES: usize = 1 << 13;
 /// Steps whose rows are written at once: a row group of a Parquet file.
 const STEPS: usize = 1 << 17;
 
-/// Writes `episodes` and `steps` of the run `parts`, which took place in `world`, into the folder `dir`. Failures are compared with
-/// `successes`. A part of the run is in memory at a time. Returns the files.
+/// Writes the tables `episodes` and `steps` of the episodes in `parts` into the folder `dir`. A part of them is in memory at a time. The log of
+/// their `run` is not read. Returns the files.
 ///
 /// # Errors
 /// When an episode does not fit the world, or the system refuses.
 pub fn write_tables(
+    run: &RecordedRun,
     parts: &RunParts,
-    world: &RunWorld,
-    successes: &Successes,
     format: TableFormat,
     dir: &Path,
 ) -> Result<Vec<PathBuf>> {
+    let RecordedRun { successes, world, .. } = run;
     let mut facts = BTreeSet::new();
     for record in parts.episodes() {
         facts.append(&mut world_facts([&record?]));

@@ -15,7 +15,7 @@ use export::{
 use run_log::{RunLog, RunParts};
 use scores::Successes;
 use settings::select_cases;
-use world_client::{FirstEpisodes, RecordedRun, RunWorld, Selection, WorldAccess};
+use world_client::{FirstEpisodes, RecordedRun, Selection, WorldAccess};
 
 use super::{Exit, WorldCommandArgs, print, warn_of_damage};
 
@@ -165,11 +165,9 @@ impl ExportArgs {
     fn write_episodes(&self, format: EpisodeFormat) -> Result<Vec<PathBuf>> {
         let program = self.world.program()?;
         let is_chosen = !self.cases.is_empty() || self.condition.is_some();
-        let ChosenRun { parts, successes, world } =
+        let ChosenRun { mut run, parts } =
             self.choose(&program.access(), if is_chosen { Selection::All } else { FEW })?;
-        drop(world);
-        let log = parts.whole()?;
-        let run = RecordedRun::of(log, successes, &program.access())?;
+        run.log = parts.whole()?;
         for notice in &run.notices {
             say!("{notice}");
         }
@@ -178,25 +176,24 @@ impl ExportArgs {
     }
 
     fn write_tables(&self, format: TableFormat) -> Result<Vec<PathBuf>> {
-        let ChosenRun { parts, successes, world } =
+        let ChosenRun { run, parts } =
             self.choose(&self.world.program()?.access(), Selection::All)?;
-        write_tables(&parts, &world, &successes, format, &self.out)
+        write_tables(&run, &parts, format, &self.out)
     }
 
     /// The run with the chosen episodes alone, the `default` ones unless a number was given.
     fn choose(&self, access: &WorldAccess, default: Selection) -> Result<ChosenRun> {
         let mut parts = RunParts::open(&self.run, self.scratch())?;
         warn_of_damage(&parts.head().damaged);
-        let world = RunWorld::new(parts.head(), access)?;
-        let mut successes = Successes::default();
+        let mut run = RecordedRun::of(parts.head().clone(), Successes::default(), access)?;
         let mut before = 0;
         for record in parts.episodes() {
-            successes.extend([&record?]);
+            run.successes.extend([&record?]);
             before += 1;
         }
         let mut count = before;
         if !self.cases.is_empty() || self.condition.is_some() {
-            let ids = world.description().case_ids();
+            let ids = run.world.description().case_ids();
             let cases = match &self.cases[..] {
                 [] => None,
                 cases => Some(select_cases(&ids, cases, None)?),
@@ -238,7 +235,7 @@ impl ExportArgs {
         if count < before {
             say!("{count} of {before} episodes");
         }
-        Ok(ChosenRun { parts, successes, world })
+        Ok(ChosenRun { run, parts })
     }
 
     /// A folder in the file system of `--out`, which has room for as much.
@@ -248,10 +245,10 @@ impl ExportArgs {
     }
 }
 
-/// A run with the chosen episodes alone.
+/// A run and the episodes of it that are chosen.
 struct ChosenRun {
+    /// The run, whose log has no episodes, with its successes, chosen or not.
+    run: RecordedRun,
+    /// The chosen episodes.
     parts: RunParts,
-    /// The successes of the whole run, with which failures are compared.
-    successes: Successes,
-    world: RunWorld,
 }

@@ -35,7 +35,7 @@ struct EpisodeRow<'a> {
 /// other figure.
 pub fn episodes_frame<'a>(
     runs: &[(&'a RunLog, &Successes)],
-    facts: &BTreeSet<String>,
+    facts: &'a BTreeSet<String>,
 ) -> DataFrame<'a> {
     let mut rows = Vec::new();
     for &(log, successes) in runs {
@@ -138,10 +138,10 @@ pub fn world_facts<'a>(records: impl IntoIterator<Item = &'a EpisodeRecord>) -> 
 }
 
 /// A column for each fact that the worlds tell of episodes: texts as they are, anything else as JSON.
-fn add_world<'a>(frame: &mut FrameBuilder<'a, EpisodeRow<'a>>, facts: &BTreeSet<String>) {
-    for fact in facts.iter().cloned() {
+fn add_world<'a>(frame: &mut FrameBuilder<'a, EpisodeRow<'a>>, facts: &'a BTreeSet<String>) {
+    for fact in facts {
         frame.text(format!("world_{fact}"), move |row| {
-            Some(match row.record?.world.get(&fact)? {
+            Some(match row.record?.world.get(fact)? {
                 Value::String(text) => text.clone(),
                 value => value.to_string(),
             })

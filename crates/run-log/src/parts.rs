@@ -16,11 +16,14 @@ use super::{
     sealed, system,
 };
 
+/// Says what is wrong with a record.
+type RecordCheck = dyn FnMut(&EpisodeRecord) -> Result<(), String> + Send;
+
 /// The finished episodes of a run, read one at a time, in the order of the log.
 pub struct EpisodeReader {
     path: PathBuf,
     lines: Option<JournalLines<Box<dyn BufRead + Send>>>,
-    check: Box<dyn FnMut(&EpisodeRecord) -> Result<(), String> + Send>,
+    check: Box<RecordCheck>,
     damaged: Vec<DamagedLine>,
 }
 
