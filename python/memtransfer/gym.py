@@ -18,7 +18,7 @@ import string
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import product
-from typing import Any, SupportsIndex, TypeAlias
+from typing import Any, NamedTuple, SupportsIndex, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,8 +45,24 @@ Pixels: TypeAlias = NDArray[np.uint8]
 Actions: TypeAlias = Sequence[SupportsIndex] | NDArray[np.integer[Any]]
 """An action for each environment."""
 
-_STARTS_AND_ROUTES = (("original", "unchanged"), ("new", "unchanged"), ("new", "blocked"))
-"""Those that episodes have."""
+_REFERENCES = {
+    ("original", "unchanged"): "original",
+    ("opposite", "unchanged"): "opposite",
+    ("nearby", "unchanged"): "nearby",
+    ("distant", "unchanged"): "distant",
+    ("new", "unchanged"): "test",
+    ("new", "blocked"): "blocked",
+}
+"""The reference of a case that starts as an episode with this start and route does."""
+
+
+class _Choice(NamedTuple):
+    """An episode that an environment may draw."""
+
+    case: str
+    start: str
+    route: str
+
 
 _LARGEST_COORDINATE = 63
 """Worlds have at most 64 columns and rows."""
@@ -59,7 +75,7 @@ class Settings:
     case: str | Sequence[str] | None = None
     """The ids of cases (`memtransfer ls cases`); `None` for all."""
     start: str | Sequence[str] = "original"
-    """`original` (where a demonstration starts) or `new`."""
+    """`original` (where a demonstration starts) or `new`; `opposite`, `nearby` and `distant` are where other demonstrations start."""
     route: str | Sequence[str] = "unchanged"
     """`unchanged`, or `blocked` (a passage of the demonstrations is closed; new starts only)."""
     frame_size: int | tuple[int, int] = 448
@@ -107,13 +123,14 @@ class _Episodes:
         if unknown:
             raise ValueError(f"there is no case {unknown[0]!r}; `memtransfer ls cases` lists the cases")
         starts, routes = _several(settings.start), _several(settings.route)
-        pairs = [pair for pair in product(starts, routes) if pair in _STARTS_AND_ROUTES]
-        if not pairs or {*starts} - {"original", "new"} or {*routes} - {"unchanged", "blocked"}:
+        pairs = [pair for pair in product(starts, routes) if pair in _REFERENCES]
+        known_starts, known_routes = ({*names} for names in zip(*_REFERENCES))
+        if not pairs or {*starts} - known_starts or {*routes} - known_routes:
             raise ValueError(
                 f"no episode has start {settings.start!r} and route {settings.route!r}: starts are original and "
-                "new, routes are unchanged and, from new starts only, blocked"
+                "new, or opposite, nearby and distant; routes are unchanged and, from new starts only, blocked"
             )
-        self.choices = list(product(cases, pairs))
+        self.choices = [_Choice(case, start, route) for case, (start, route) in product(cases, pairs)]
         self.copy = copy
         self.max_steps = settings.max_steps
         self.pixels: Pixels = np.asarray(self.lanes)
@@ -138,19 +155,23 @@ class _Episodes:
 
     def begin(self, lane: int, random: np.random.Generator, options: dict[str, Any] | None) -> None:
         """Begins an episode."""
-        choices = self.choices
-        unknown = sorted({*(options or {})} - {"case", "reset_mask"})
+        wanted = {**(options or {})}
+        wanted.pop("reset_mask", None)
+        unknown = sorted({*wanted} - {*_Choice._fields})
         if unknown:
             raise ValueError(
-                f"there is no option {unknown[0]!r}; options are case and, for many environments, reset_mask"
+                f"there is no option {unknown[0]!r}; options are case, start, route and, for many environments, reset_mask"
             )
-        wanted = (options or {}).get("case")
-        if wanted is not None:
-            choices = [choice for choice in choices if choice[0] == wanted]
+        choices = self.choices
+        for name, value in wanted.items():
+            if value is None:
+                continue
+            choices = [choice for choice in choices if getattr(choice, name) == value]
             if not choices:
-                raise ValueError(f"the case {wanted!r} of the options is not one of the environment's")
-        case, (start, route) = choices[random.integers(len(choices))]
-        self.instructions[lane], self.poses[lane], length = self.lanes.begin(lane, case, start, route)
+                raise ValueError(f"the {name} {value!r} of the options is not one of the environment's")
+        case, start, route = choices[random.integers(len(choices))]
+        begun = self.lanes.begin(lane, case, _REFERENCES[start, route])
+        self.instructions[lane], self.poses[lane], length = begun
         self.infos[lane] = {"case": case, "start": start, "route": route, "reference_length": length}
         self.feedback[lane] = Feedback.START
         self.steps[lane] = 0
@@ -214,8 +235,8 @@ class MemTransferEnv(_Open, gymnasium.Env[Observation, SupportsIndex], EzPickle)
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins an episode. The seed determines which one; `options={"case": "t03-07"}` names its case. The info has its case, start,
-        route and reference length."""
+        """Begins an episode. The seed determines which one; `options={"case": "t03-07"}` names its case, `start` and `route` likewise.
+        The info has its case, start, route and reference length."""
         super().reset(seed=seed)
         self._episodes.begin(0, self.np_random, options)
         return self._observe(), dict(self._episodes.infos[0])
@@ -293,7 +314,7 @@ class MemTransferVectorEnv(_Open, VectorEnv[Observation, Actions, NDArray[Any]],
     ) -> tuple[Observation, dict[str, Any]]:
         """Begins an episode in every environment, or in those of `options["reset_mask"]`.
 
-        Environment `i` is seeded with `seed + i`, or with `seed[i]`. `options["case"]` names the case.
+        Environment `i` is seeded with `seed + i`, or with `seed[i]`. The options `case`, `start` and `route` name what it begins with.
         """
         if isinstance(seed, (int, np.integer)):
             seeds: Sequence[int | None] | None = [int(seed) + lane for lane in range(self.num_envs)]

@@ -29,11 +29,15 @@ try:
 except ModuleNotFoundError as error:
     raise missing(error, "results") from None
 
-_DTYPES = {"text": "string", "whole": "Int64", "real": "Float64", "flag": "boolean"}
-
-_CATEGORIES = frozenset(
-    ("memory", "start", "route", "demonstrations", "segment", "hint", "mismatch", "group", "ending", "failure")
-)
+DTYPES: dict[str, str] = {
+    "text": "string",
+    "word": "category",
+    "whole": "Int64",
+    "natural": "UInt64",
+    "real": "Float64",
+    "flag": "boolean",
+}
+"""The type that a column has in pandas, by the type that `docs/exports.md` names."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,7 @@ class Results:
     manifest: dict[str, Any]
     """The run's settings, versions and hashes, and what each process reported about itself."""
     episodes: pd.DataFrame
-    """One row per episode. An episode without a result has the ending `given-up`, an `error`, and no figures.
+    """One row per episode, with the columns and types of the table `episodes` that `memtransfer export` writes. An episode without a result has the ending `given-up`, an `error`, and no figures.
     A figure that was not measured is missing (`pd.NA`). What the world told of an episode is in the columns `world_...`, as text or
     JSON; of the warehouse, the number of `blocked_moves` and whether the agent `tried_closed` passages are figures."""
     timings: pd.DataFrame
@@ -64,8 +68,7 @@ def read(folder: str | Path) -> Results:
     manifest, sessions, episodes, timings, damaged = _native.read_run(folder)
     for line in damaged:
         warnings.warn(f"damaged, left out: {line}", stacklevel=2)
-    frame = _frame(episodes).rename(columns={"sub_goals": "required"})
-    frame["seed"] = frame["seed"].astype("UInt64")
+    frame = _frame(episodes)
     if "world_blocked_moves" in frame:
         # Facts of the warehouse that have a column of their own.
         moves = frame["world_blocked_moves"].map(lambda steps: len(json.loads(steps)), na_action="ignore")
@@ -103,9 +106,6 @@ def read_scores(folder: str | Path) -> pd.DataFrame:
 
 
 def _frame(columns: list[tuple[str, str, list[Any]]]) -> pd.DataFrame:
-    series = {
-        name: pd.Series(values, dtype="category" if name in _CATEGORIES else _DTYPES[kind])
-        for name, kind, values in columns
-    }
+    series = {name: pd.Series(values, dtype=DTYPES[kind]) for name, kind, values in columns}
     table: pd.DataFrame = pd.DataFrame(series)
     return table

@@ -3,8 +3,8 @@
     from memtransfer.trajectories import Recording
 
     recording = Recording("runs/quick-grounded")
-    episode = recording.episodes()[0]
-    views = recording.views(episode)
+    for episode in recording.iter_episodes():
+        views = recording.views(episode)
 
 A run folder holds poses and actions, and no images: views are rendered when they are asked for.
 """
@@ -14,7 +14,8 @@ from __future__ import annotations
 import json
 import operator
 import os
-from collections.abc import Iterable
+import warnings
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,6 +58,9 @@ class Trajectory:
     """Whether the last action completed the task."""
     failure: tuple[str, int] | None
     """The kind of failure, and the step of the event that its rule is about; the end where it is about none."""
+    environment: tuple[str, str] | None
+    """The start and the route with which the Gymnasium environment begins as it does. `None` where none does: in a stream, with a
+    mismatch, and for a demonstration in another world."""
     closed: tuple[tuple[int, int], ...]
     """The closed cells, as column and row."""
     targets: tuple[tuple[str, str, tuple[int, int]], ...]
@@ -75,6 +79,12 @@ class Trajectory:
     def decided(self) -> list[int]:
         """The steps at which an action was chosen: all but those whose answer could not be read."""
         return [step for step, action in enumerate(self.actions) if action is not None]
+
+    @property
+    def observed(self) -> list[int]:
+        """The steps whose observations an environment gives that is asked for the actions that could be read: the start, and the step
+        after each of them. At an answer that could not be read the agent stayed in place."""
+        return [0, *(step + 1 for step in self.decided)]
 
     @property
     def unread(self) -> int:
@@ -119,13 +129,22 @@ class Recording:
         return self._run.size_px
 
     def episodes(self) -> list[Trajectory]:
-        """Returns the episodes that have a result, in the order of the log."""
-        return _trajectories(self._run.episodes())
+        """Returns the episodes that have a result, all of them, in the order of the log: that in which they ended."""
+        return list(self.iter_episodes())
+
+    def iter_episodes(self) -> Iterator[Trajectory]:
+        """Reads the episodes that have a result one at a time, in the order of the log. Warns of each damaged line, which is left
+        out."""
+        episodes = self._run.episodes()
+        for text in episodes:
+            yield _trajectory(json.loads(text))
+        for line in episodes.damaged:
+            warnings.warn(f"damaged, left out: {line}", stacklevel=2)
 
     def demonstrations(self) -> list[Trajectory]:
         """Returns the demonstrations that the run's memories could be built from. Each ends with the step that completes the
         task, without the expert's turn towards the rack after it."""
-        return _trajectories(self._run.demonstrations())
+        return [_trajectory(fields) for fields in json.loads(self._run.demonstrations())]
 
     def floor(self, variant: int) -> NDArray[np.bool_]:
         """Returns which cells of a world are free floor, as (rows, columns), row 0 in the south. Cells of a closed passage
@@ -150,20 +169,14 @@ def sides(frame_size: int | Iterable[int]) -> tuple[int, int]:
     return width, height
 
 
-def _trajectories(text: str) -> list[Trajectory]:
-    def trajectory(fields: dict[str, Any]) -> Trajectory:
-        actions = (None if code is None else _ACTIONS[code] for code in fields.pop("actions"))
-        return Trajectory(
-            poses=np.array(fields.pop("poses"), np.uint8),
-            feedback=tuple(_FEEDBACK[code] for code in fields.pop("feedback")),
-            actions=tuple(actions),
-            **{
-                name: _tuples(value) if isinstance(value, list) else value
-                for name, value in fields.items()
-            },
-        )
-
-    return [trajectory(fields) for fields in json.loads(text)]
+def _trajectory(fields: dict[str, Any]) -> Trajectory:
+    actions = (None if code is None else _ACTIONS[code] for code in fields.pop("actions"))
+    return Trajectory(
+        poses=np.array(fields.pop("poses"), np.uint8),
+        feedback=tuple(_FEEDBACK[code] for code in fields.pop("feedback")),
+        actions=tuple(actions),
+        **{name: _tuples(value) if isinstance(value, list) else value for name, value in fields.items()},
+    )
 
 
 def _tuples(value: Any) -> Any:

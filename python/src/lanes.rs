@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use std::thread;
 
-use domain::{Action, Appearance, Feedback, Pose, Route, Start};
+use domain::{Action, Appearance, Feedback, Pose};
 use pyo3::exceptions::{PyIndexError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -148,20 +148,18 @@ impl Lanes {
         Ok(interface)
     }
 
-    /// Begins an episode of case `case` from `start` on `route`. Returns the instruction, the pose, and the length of the reference: the
-    /// steps in which the expert completes the task.
+    /// Begins an episode where the reference `reference` of case `case` starts. Returns the instruction, the pose, and the length of the
+    /// reference: the steps in which the expert completes the task.
     fn begin(
         &mut self,
         lane: usize,
         case: &str,
-        start: &str,
-        route: &str,
+        reference: &str,
     ) -> PyResult<(String, PoseTuple, u32)> {
         let Self { warehouse, cases, lanes, .. } = self;
         let case = cases.case(case).ok_or_else(|| invalid("there is no such case"))?;
-        let (start, route) =
-            (start.parse::<Start>().map_err(invalid)?, route.parse::<Route>().map_err(invalid)?);
-        let reference = TrajectoryKind::reference(start, route);
+        let reference = TrajectoryKind::ALL.into_iter().find(|kind| kind.name() == reference);
+        let reference = reference.ok_or_else(|| invalid("there is no such reference"))?;
         let length = case.replay(warehouse, reference).length;
         let length = length.ok_or_else(|| invalid("the reference does not complete the task"))?;
         let pose = case.trajectory(reference).start;

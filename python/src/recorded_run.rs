@@ -5,11 +5,12 @@ use std::path::PathBuf;
 
 use anyhow::{Context, bail, ensure};
 use case_book::act::{ActedDemonstration, DemonstrationsRequest, EpisodeParts, Target};
-use domain::{Action, Cell, Heading, Mismatch, Pose, State};
+use domain::{Action, Cell, DemonstrationKind, Heading, Mismatch, Pose, Route, Start, State};
 use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use run_log::{EpisodeRecord, LogError};
+use run_log::{EpisodeReader, EpisodeRecord, LogError, RunLog};
+use scores::Successes;
 use serde::Serialize;
 use sim_proc::renderer::{Backend, RenderSettings};
 use sim_proc::view_source::ViewSource;
@@ -63,11 +64,15 @@ struct TrajectoryData<'a> {
     required: u32,
     success: bool,
     failure: Option<(String, u32)>,
+    environment: Option<EnvironmentStart>,
     closed: Vec<CellData>,
     targets: Vec<TargetData>,
     reference: Vec<CellData>,
     record: Option<&'a EpisodeRecord>,
 }
+
+/// Start and route of the Gymnasium environment.
+type EnvironmentStart = (&'static str, &'static str);
 
 /// Letter, name, and the cell before it.
 type TargetData = (char, String, CellData);
@@ -105,11 +110,13 @@ impl RecordedRun {
     /// Reads the run in `folder`. Views have the run's size, or width and height in pixels of `size_px`.
     #[new]
     fn new(folder: PathBuf, size_px: Option<(u32, u32)>) -> PyResult<Self> {
-        let run =
-            Recorded::read(&folder, &access()).map_err(|error| match error.downcast_ref() {
-                Some(LogError::NoRun(_)) => PyFileNotFoundError::new_err(error.to_string()),
-                _ => invalid(&error),
-            })?;
+        let log = RunLog::without_journals(&folder).map_err(|error| match error {
+            LogError::NoRun(_) => PyFileNotFoundError::new_err(error.to_string()),
+            error => invalid(&error.into()),
+        })?;
+        // Trajectories tell nothing of how failures compare with successes.
+        let run = Recorded::of(log, Successes::default(), &access());
+        let run = run.map_err(|error| invalid(&error))?;
         let of_run = run.log.manifest.settings.frame_size;
         let (width_px, height_px) = size_px.unwrap_or((of_run, of_run));
         let settings = RenderSettings {
@@ -145,14 +152,13 @@ impl RecordedRun {
         self.run.log.manifest.policy_label().to_string()
     }
 
-    /// The trajectories of the episodes that have a result, as JSON, in the order of the log.
-    fn episodes(&self) -> PyResult<String> {
-        let episodes = self.run.log.episodes.iter().map(|record| self.episode(record));
-        let episodes = episodes.collect::<anyhow::Result<Vec<_>>>();
-        json(&episodes.map_err(|error| invalid(&error))?)
+    /// The trajectories of the episodes that have a result, each as JSON, in the order of the log.
+    fn episodes(slf: Bound<'_, Self>) -> PyResult<EpisodeIterator> {
+        let reader = slf.borrow().records().map_err(|error| invalid(&error))?;
+        Ok(EpisodeIterator { run: slf.unbind(), reader })
     }
 
-    /// Those of the demonstrations that the run's memories could be built from, as JSON, each once, in the order of the
+    /// The trajectories of the demonstrations that the run's memories could be built from, as JSON, each once, in the order of the
     /// cases.
     fn demonstrations(&self) -> PyResult<String> {
         let found = self.acted_demonstrations().map_err(|error| invalid(&error))?;
@@ -182,7 +188,59 @@ impl RecordedRun {
     }
 }
 
+/// Acts out the episodes of a run, one at a time.
+#[pyclass(module = "memtransfer._native", unsendable)]
+pub(crate) struct EpisodeIterator {
+    run: Py<RecordedRun>,
+    reader: EpisodeReader,
+}
+
+#[pymethods]
+impl EpisodeIterator {
+    fn __iter__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        slf
+    }
+
+    fn __next__(&mut self, py: Python<'_>) -> PyResult<Option<String>> {
+        let Some(record) = self.reader.next() else { return Ok(None) };
+        let record = record.map_err(|error| invalid(&error.into()))?;
+        let run = self.run.borrow(py);
+        let trajectory = run.episode(&record).map_err(|error| invalid(&error))?;
+        json(&trajectory).map(Some)
+    }
+
+    /// The lines until now that cannot be used, and are left out.
+    #[getter]
+    fn damaged(&self) -> Vec<String> {
+        self.reader.damaged().iter().map(ToString::to_string).collect()
+    }
+}
+
+/// What the environment can begin that an episode began with.
+fn environment_of(record: &EpisodeRecord) -> Option<EnvironmentStart> {
+    let is_other = record.stream.is_some() || record.mismatch != Mismatch::default();
+    (!is_other).then(|| (record.start.name(), record.route.name()))
+}
+
+/// What the environment can begin that a demonstration began with.
+fn environment_of_demonstration(kind: DemonstrationKind) -> Option<EnvironmentStart> {
+    match kind {
+        DemonstrationKind::Original
+        | DemonstrationKind::Opposite
+        | DemonstrationKind::Nearby
+        | DemonstrationKind::Distant
+        | DemonstrationKind::New => Some((kind.name(), Route::Unchanged.name())),
+        DemonstrationKind::Blocked => Some((Start::New.name(), Route::Blocked.name())),
+        DemonstrationKind::After | DemonstrationKind::Elsewhere => None,
+    }
+}
+
 impl RecordedRun {
+    /// The run's records, of which nothing has been read yet.
+    fn records(&self) -> anyhow::Result<EpisodeReader> {
+        Ok(EpisodeReader::open(&self.run.log.dir)?)
+    }
+
     fn episode<'a>(&'a self, record: &'a EpisodeRecord) -> anyhow::Result<TrajectoryData<'a>> {
         let parts = EpisodeParts { reference: true, scenery: true, ..EpisodeParts::default() };
         let timeline = EpisodeTimeline::new(&self.run.world, record, &self.run.successes, parts)?;
@@ -208,6 +266,7 @@ impl RecordedRun {
             required: record.required,
             success: record.is_success(),
             failure,
+            environment: environment_of(record),
             closed: scenery.closed.into_iter().map(cell_data).collect(),
             targets: targets(scenery.targets),
             reference: path(reference)?,
@@ -218,15 +277,18 @@ impl RecordedRun {
     /// The demonstrations of the sets of all episodes, each once, in the order of the cases.
     fn acted_demonstrations(&self) -> anyhow::Result<Vec<ActedDemonstration>> {
         let world = &self.run.world;
-        let sets: BTreeSet<_> =
-            self.run.log.episodes.iter().map(|one| (&one.case, one.demonstrations)).collect();
+        let mut sets = BTreeSet::new();
+        for record in self.records()? {
+            let record = record?;
+            sets.insert((record.case, record.demonstrations));
+        }
         let mut found = BTreeMap::new();
         for (case, set) in sets {
-            if world.index(case).is_none() {
+            if world.index(&case).is_none() {
                 continue;
             }
             let acted = world.demonstrations(DemonstrationsRequest {
-                case: case.clone(),
+                case,
                 set,
                 more: Vec::new(),
                 variant: 0,
@@ -291,6 +353,7 @@ fn demonstration(acted: &ActedDemonstration) -> anyhow::Result<TrajectoryData<'_
         sub_goals: acted.sub_goals.clone(),
         success: acted.length.is_some(),
         failure: None,
+        environment: environment_of_demonstration(acted.kind),
         closed: acted.closed.iter().copied().map(cell_data).collect(),
         targets: targets(acted.targets.clone()),
         reference: path(states)?,

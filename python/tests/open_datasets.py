@@ -35,6 +35,9 @@ assert dataset.observation_space == env.observation_space
 assert dataset.action_space == env.action_space
 again = dataset.recover_environment()
 assert again.observation_space == env.observation_space
+(case,) = {trajectory.case for trajectory in trajectories}
+made = again.spec.kwargs
+assert (made["case"], made["start"], made["route"]) == (case, ["new", "original"], "unchanged"), made
 assert len(dataset) == len(trajectories)
 assert dataset.storage.metadata["algorithm_name"] == recording.policy_label
 assert recording.policy_label in dataset.storage.metadata["description"]
@@ -49,20 +52,25 @@ for trajectory, episode, about in zip(trajectories, dataset, metadata):
         trajectory.success,
         not trajectory.success,
     )
-    for index, step in enumerate([*steps, len(trajectory.actions)]):
+    for index, step in enumerate(trajectory.observed):
         observation = {name: values[index] for name, values in episode.observations.items()}
         assert observation in env.observation_space
         assert observation["pose"].tolist() == trajectory.poses[step].tolist()
         assert observation["feedback"] == trajectory.feedback[step]
         assert observation["instruction"] == trajectory.instruction
         assert close(observation["pixels"], views[step])
-# The environment does what the demonstration says.
-demonstration = next(episode for episode, of in zip(dataset, trajectories) if of.record is None)
-(case,) = {trajectory.case for trajectory in trajectories}
-observation, _ = again.reset(options={"case": case})
-assert observation["instruction"] == demonstration.observations["instruction"][0]
-for action, reward in zip(demonstration.actions, demonstration.rewards):
-    assert again.step(action)[1] == reward
+# The environment does what every episode says: a step without a readable answer is none of its transitions.
+for episode, about in zip(dataset, metadata):
+    options = {name: about[name] for name in ("case", "start", "route")}
+    observation, _ = again.reset(options=options)
+    for index, action in enumerate([None, *episode.actions]):
+        if action is not None:
+            observation, reward, *_ = again.step(action)
+            assert reward == episode.rewards[index - 1]
+        assert observation["instruction"] == episode.observations["instruction"][index]
+        assert observation["pose"].tolist() == episode.observations["pose"][index].tolist()
+        assert observation["feedback"] == episode.observations["feedback"][index]
+        assert close(episode.observations["pixels"][index], observation["pixels"])
 
 # Rerun
 verified = subprocess.run([sys.executable, "-m", "rerun", "rrd", "verify", rrd])

@@ -24,18 +24,18 @@ assert set(dataset.meta.tasks.index) == {trajectory.instruction for trajectory i
 frames = iter(range(len(dataset)))
 for number, trajectory in enumerate(trajectories):
     views = recording.views(trajectory)
-    for step in trajectory.decided:
+    for step, shown in zip(trajectory.decided, trajectory.observed):
         frame = dataset[next(frames)]
         is_last = step == trajectory.decided[-1]
         assert frame["episode_index"] == number and frame["step"] == step
         assert frame["trajectory"] == trajectory.id and frame["task"] == trajectory.instruction
-        assert frame["observation.state"].tolist() == trajectory.poses[step].tolist()
-        assert frame["observation.feedback"] == trajectory.feedback[step]
+        assert frame["observation.state"].tolist() == trajectory.poses[shown].tolist()
+        assert frame["observation.feedback"] == trajectory.feedback[shown]
         assert frame["action"] == trajectory.actions[step]
         assert frame["next.done"] == is_last
         assert frame["next.success"] == (is_last and trajectory.success) == bool(frame["next.reward"])
         picture = frame["observation.images.camera"].permute(1, 2, 0).numpy() * 255
-        assert np.abs(picture - views[step]).mean() < 12, (number, step)
+        assert np.abs(picture - views[shown]).mean() < 12, (number, step)
 # As training reads it.
 batch = next(iter(torch.utils.data.DataLoader(dataset, batch_size=4)))
 assert batch["observation.images.camera"].shape == (4, 3, 64, 64)

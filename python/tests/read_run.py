@@ -12,7 +12,7 @@ episodes = results.episodes
 kinds = {name: str(kind) for name, kind in episodes.dtypes.items()}
 assert kinds["key"] == kinds["case"] == "string" and kinds["memory"] == "category", kinds
 assert (kinds["steps"], kinds["success"], kinds["spl"]) == ("Int64", "boolean", "Float64"), kinds
-assert (kinds["seed"], kinds["prompt_tokens"], kinds["required"]) == ("UInt64", "Int64", "Int64")
+assert (kinds["seed"], kinds["prompt_tokens"], kinds["sub_goals"]) == ("UInt64", "Int64", "Int64")
 for name in ("unreadable", "empty", "refused", "sub_goals_met", "window", "run"):
     assert kinds[name] == "Int64", name
 assert episodes["key"].is_unique

@@ -3,16 +3,20 @@ formats, which are not installed here."""
 
 from __future__ import annotations
 
+import json
 import re
+import shutil
+import warnings
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from memtransfer.export.__main__ import main
-from memtransfer.export.common import ExportError, new, refuse_existing
+from memtransfer.export.common import ExportError, left_out, new, refuse_existing
 from memtransfer.export.rerun import events
-from memtransfer.trajectories import Recording, Trajectory, _trajectories
+from memtransfer.trajectories import Recording, Trajectory, _trajectory
 
 RUN = Path(__file__).parents[2] / "crates/scores/tests/rq2-version-1"
 
@@ -50,12 +54,37 @@ def test_a_missing_library_is_named_with_the_command_that_installs_it(
     assert not any(tmp_path.iterdir())
 
 
+def test_episodes_are_read_one_at_a_time_in_the_order_of_the_log(tmp_path: Path) -> None:
+    lines = (RUN / "episodes.jsonl").read_text().splitlines(keepends=True)
+    lines.reverse()
+    keys = [json.loads(line)["key"] for line in lines]
+    assert keys != sorted(keys)
+    shutil.copytree(RUN, tmp_path, dirs_exist_ok=True)
+    # A run whose log says nonsense after two episodes.
+    (tmp_path / "episodes.jsonl").write_text("".join([*lines[:2], "damaged\n", *lines[2:]]))
+    recording = Recording(tmp_path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        first = list(islice(recording.iter_episodes(), 2))
+    assert [episode.id for episode in first] == keys[:2]
+    with pytest.warns(UserWarning, match="damaged, left out: episodes.jsonl, line 3"):
+        assert [episode.id for episode in recording.episodes()] == keys
+
+
+def test_what_no_answer_could_be_read_of_is_counted() -> None:
+    assert left_out(3, 0) == ""
+    assert left_out(3, 1).strip().startswith("1 episode is left out: ")
+    assert left_out(3, 2).strip().startswith("2 episodes are left out: ")
+    with pytest.raises(ExportError, match="nothing to export"):
+        left_out(0, 2)
+
+
 def test_nothing_is_overwritten_and_nothing_half_written_stays(tmp_path: Path) -> None:
     place = tmp_path / "deep/place"
     with pytest.raises(RuntimeError), new(place) as partial:
         partial.mkdir()
         raise RuntimeError
-    assert not any(place.parent.iterdir())
+    assert not any(tmp_path.iterdir())
     with new(place) as partial:
         partial.write_text("whole")
     assert place.read_text() == "whole" and [place] == list(place.parent.iterdir())
@@ -82,14 +111,17 @@ def test_a_run_is_read_and_its_views_are_rendered() -> None:
 
 
 def test_steps_without_an_action_are_no_decisions() -> None:
-    (trajectory,) = _trajectories(
-        """[{"id": "a/b", "case": "t01-01", "task": 1, "instruction": "Go.", "start": "new", "variant": 0,
+    text = """{"id": "a/b", "case": "t01-01", "task": 1, "instruction": "Go.", "start": "new", "variant": 0,
         "poses": [[1, 2, 0], [1, 2, 0], [1, 3, 0], [1, 3, 0]], "feedback": [0, 4, 1, 3], "actions": [null, 0, 0],
-        "sub_goals": [2], "required": 2, "success": false, "failure": ["out-of-steps", 3], "closed": [], "targets": [],
-        "reference": [], "record": {"retrieved": "o1 - o2", "conflict_at": 3}}]"""
-    )
+        "sub_goals": [2], "required": 2, "success": false, "failure": ["out-of-steps", 3],
+        "environment": ["new", "unchanged"], "closed": [], "targets": [],
+        "reference": [], "record": {"retrieved": "o1 - o2", "conflict_at": 3}}"""
+    trajectory = _trajectory(json.loads(text))
     assert isinstance(trajectory, Trajectory)
     assert (trajectory.decided, trajectory.unread) == ([1, 2], 1)
+    # The observation of the start, and not the one that says that the answer was not understood.
+    assert trajectory.observed == [0, 2, 3]
+    assert [trajectory.feedback[step] for step in trajectory.observed] == [0, 1, 3]
     assert [f"{step} {words}" for step, level, words in events(trajectory, "grounded, scripted stand-in")] == [
         "0 Policy: grounded, scripted stand-in.",
         "0 Go. From column 1, row 2, facing north.",

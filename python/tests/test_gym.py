@@ -324,3 +324,19 @@ def test_without_pygame_there_is_no_window(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setitem(sys.modules, "pygame", None)
     with pytest.raises(DependencyNotInstalled, match=r"pip install 'memtransfer\[gym\]'"):
         MemTransferEnv(render_mode="human", **SMALL)
+
+
+def test_options_name_the_case_the_start_and_the_route() -> None:
+    pairs = [("nearby", "unchanged"), ("new", "unchanged"), ("new", "blocked"), ("original", "unchanged")]
+    starts, routes = ({*names} for names in zip(*pairs))
+    several = MemTransferEnv(**{**SMALL, "start": sorted(starts), "route": sorted(routes)})
+    poses = set()
+    for start, route in pairs:
+        options = {"case": "t03-07", "start": start, "route": route}
+        observation, _ = several.reset(options=options)
+        same, _ = MemTransferEnv(**{**SMALL, **options}).reset()
+        assert data_equivalence(observation, same, exact=True)
+        poses.add(tuple(observation["pose"].tolist()))
+    assert len(poses) == 3
+    with pytest.raises(ValueError, match="the start 'distant' of the options is not one of the environment's"):
+        several.reset(options={"start": "distant"})

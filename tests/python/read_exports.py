@@ -8,16 +8,26 @@ RUN is the run's folder; EXPORTS holds `episodes/` and `all.mcap`, `tables/` and
 import io
 import json
 import pathlib
+import re
 import subprocess
 import sys
 
 import pandas
+import pyarrow
+import pyarrow.parquet
 import yaml
 from huggingface_hub import parse_eval_result_entries
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from memtransfer.results import DTYPES, read
 from PIL import Image
 
+NULLABLE = {
+    pyarrow.int64(): pandas.Int64Dtype(),
+    pyarrow.uint64(): pandas.UInt64Dtype(),
+    pyarrow.float64(): pandas.Float64Dtype(),
+    pyarrow.bool_(): pandas.BooleanDtype(),
+}
 HEADINGS = {"N": (0.5**0.5, 0.5**0.5), "E": (0, 1), "S": (-(0.5**0.5), 0.5**0.5), "W": (1, 0)}
 
 
@@ -74,15 +84,55 @@ def read_mcap_in_rerun(path):
         assert archetype in shown.stdout, f"Rerun shows no {archetype}"
 
 
-def read_tables(folder, records):
-    """CSV and Parquet hold the same, and what the log holds."""
+def described_types(table):
+    """The type of each column of the table, from docs/exports.md."""
+    page = (pathlib.Path(__file__).parents[2] / "docs/exports.md").read_text()
+    types = {}
+    for heading in ("Both", f"`{table}`"):
+        (section,) = re.findall(rf"^### {re.escape(heading)}$(.*?)^##", page, re.MULTILINE | re.DOTALL)
+        for names, kind in re.findall(r"^\| (`.*?) \| (\w+) \|", section, re.MULTILINE):
+            types.update(dict.fromkeys(re.findall(r"`(\w+)`", names), kind))
+    return types
+
+
+ARROW = {
+    "text": pyarrow.string(),
+    "word": pyarrow.string(),
+    "whole": pyarrow.int64(),
+    "natural": pyarrow.uint64(),
+    "real": pyarrow.float64(),
+    "flag": pyarrow.bool_(),
+}
+
+
+def read_tables(run, folder, records):
+    """CSV and Parquet hold the same, with the types of docs/exports.md, and so does `read`; they hold what the log holds."""
     for name, key in [("episodes", ["key"]), ("steps", ["key", "step"])]:
-        parquet = pandas.read_parquet(folder / f"{name}.parquet")
-        text = pandas.read_csv(folder / f"{name}.csv")
-        assert list(parquet.columns) == list(text.columns)
-        assert len(parquet) == len(text) and not parquet.duplicated(key).any()
-        for column in ["memory", "case", "run"]:
-            assert (parquet[column].astype(str) == text[column].astype(str)).all(), column
+        types = described_types(name)
+        file = pyarrow.parquet.ParquetFile(folder / f"{name}.parquet")
+        columns = file.schema_arrow.names
+        assert {column: file.schema_arrow.field(column).type for column in columns} == {
+            column: ARROW[types[column]] for column in columns
+        }
+        metadata = file.metadata.row_group(0)
+        for index in range(metadata.num_columns):
+            column = metadata.column(index)
+            assert column.compression == "ZSTD" and column.has_dictionary_page == (column.physical_type != "BOOLEAN")
+        dtypes = {column: DTYPES[types[column]] for column in columns}
+        parquet = file.read().to_pandas(types_mapper=NULLABLE.get).astype(dtypes)
+        text = pandas.read_csv(folder / f"{name}.csv", dtype=dtypes, keep_default_na=False, na_values=[""])
+        assert len(parquet) and not parquet.duplicated(key).any()
+        for column in columns:
+            if types[column] in ("text", "word"):
+                # An apostrophe keeps a spreadsheet from computing a text.
+                literal = text[column].astype("string").str.replace(r"^'(?=\s*[=+\-@])", "", regex=True)
+                text[column] = literal.astype(dtypes[column])
+        pandas.testing.assert_frame_equal(text, parquet, check_categorical=False)
+        if name == "episodes":
+            same = read(run).episodes[columns].sort_values("key", ignore_index=True)
+            pandas.testing.assert_frame_equal(same, parquet, check_categorical=False)
+            assert parquet["seed"].tolist() == [records[key]["seed"] for key in parquet["key"]]
+            assert parquet["key"].tolist() == sorted(records)
     episodes = pandas.read_parquet(folder / "episodes.parquet").set_index("key")
     assert set(episodes.index) == set(records)
     steps = pandas.read_parquet(folder / "steps.parquet")
@@ -115,7 +165,7 @@ def main(run, exports):
     assert len(files) == 1
     for path in [files[0], exports / "all.mcap"]:
         read_mcap_in_rerun(path)
-    read_tables(exports / "tables", records)
+    read_tables(run, exports / "tables", records)
     read_hub(exports / "hub", records)
 
 

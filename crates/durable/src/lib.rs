@@ -19,7 +19,7 @@ pub use draft::FolderDraft;
 pub use known::{KnownNames, Removal};
 
 use std::fs::{self, File};
-use std::io::{self, ErrorKind, Read, Write};
+use std::io::{self, BufReader, ErrorKind, Read, Write};
 use std::path::Path;
 use std::sync::OnceLock;
 
@@ -103,6 +103,19 @@ pub fn read(path: &Path) -> io::Result<Vec<u8>> {
         }
         None => input::read_at_most(open(path)?, RUN_FILE_LIMIT),
     }
+}
+
+/// Opens the file `path`, a regular file and no symbolic link, to be read line by line.
+///
+/// # Errors
+/// When it is something else, or the system refuses.
+pub fn open_buffered(path: &Path) -> io::Result<BufReader<impl Read + Send + use<>>> {
+    let file: Box<dyn Read + Send> = match fault(Operation::Read, path) {
+        Some(Fault::Fails { error, .. }) => return Err(error()),
+        Some(Fault::ShortReads) => Box::new(Interrupted(open(path)?, false)),
+        None => Box::new(open(path)?),
+    };
+    Ok(BufReader::with_capacity(1 << 16, file))
 }
 
 /// Opens the file `path` for appending and reading, and creates it if it is missing; `path` itself must not be a symbolic link.
@@ -219,6 +232,8 @@ impl Read for Interrupted {
 
 #[cfg(test)]
 mod tests {
+    use std::io::BufRead;
+
     use super::*;
 
     /// Fails every operation on files called `bad`, after two bytes.
@@ -246,6 +261,9 @@ mod tests {
         for name in ["good", "short"] {
             write_file(&path(name), b"0123456789").unwrap();
             assert_eq!(read(&path(name)).unwrap(), b"0123456789");
+            let mut text = Vec::new();
+            open_buffered(&path(name)).unwrap().read_until(b'8', &mut text).unwrap();
+            assert_eq!(text, b"012345678");
             sync_path(&path(name)).unwrap();
         }
         replace(&path("good"), &path("draft"), b"new").unwrap();
@@ -255,6 +273,7 @@ mod tests {
         let full = |outcome: io::Result<()>| outcome.unwrap_err().kind() == ErrorKind::StorageFull;
         assert!(full(write_file(&path("bad"), b"0123")));
         assert_eq!(fs::read(path("bad")).unwrap(), b"01", "part of it was written");
+        assert!(full(open_buffered(&path("bad")).map(drop)));
         assert!(full(read(&path("bad")).map(drop)) && full(sync_path(&path("bad"))));
         assert!(full(rename(&path("good"), &path("bad"))) && path("good").exists());
         assert!(full(replace(&path("bad"), &path("draft"), b"4")));

@@ -21,4 +21,5 @@ mod video;
 pub use episodes::{EpisodeFormat, Episodes};
 pub use hub::{HubDataset, write_results};
 pub use moments::Timing;
-pub use tables::{TableFormat, write_tables};
+pub use report::TableFormat;
+pub use tables::write_tables;

@@ -1,7 +1,7 @@
 //! `memtransfer export`: a run as files for other programs.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::builder::TypedValueParser;
@@ -12,9 +12,10 @@ use domain::shell_word;
 use export::{
     EpisodeFormat, Episodes, HubDataset, TableFormat, Timing, write_results, write_tables,
 };
-use run_log::RunLog;
+use run_log::{RunLog, RunParts};
+use scores::Successes;
 use settings::select_cases;
-use world_client::{RecordedRun, Selection};
+use world_client::{FirstEpisodes, RecordedRun, Selection, WorldAccess};
 
 use super::{Exit, WorldCommandArgs, print, warn_of_damage};
 
@@ -161,65 +162,93 @@ impl ExportArgs {
         Ok(())
     }
 
-    fn read(&self) -> Result<RecordedRun> {
-        let run = RecordedRun::read(&self.run, &self.world.program()?.access())?;
-        warn_of_damage(&run.log.damaged);
-        Ok(run)
-    }
-
     fn write_episodes(&self, format: EpisodeFormat) -> Result<Vec<PathBuf>> {
-        let mut run = self.read()?;
+        let program = self.world.program()?;
+        let is_chosen = !self.cases.is_empty() || self.condition.is_some();
+        let ChosenRun { mut run, parts } =
+            self.choose(&program.access(), if is_chosen { Selection::All } else { FEW })?;
+        run.log = parts.whole()?;
         for notice in &run.notices {
             say!("{notice}");
         }
-        let is_chosen = !self.cases.is_empty() || self.condition.is_some();
-        self.choose(&mut run, if is_chosen { Selection::All } else { FEW })?;
         let timing = Timing { steps_per_s: self.fps.unwrap_or(2), edge: self.size.unwrap_or(448) };
-        Episodes::new(run, &self.world.program()?, timing)?.write(format, &self.out)
+        Episodes::new(run, &program, timing)?.write(format, &self.out)
     }
 
     fn write_tables(&self, format: TableFormat) -> Result<Vec<PathBuf>> {
-        let mut run = self.read()?;
-        self.choose(&mut run, Selection::All)?;
-        write_tables(&run, format, &self.out)
+        let ChosenRun { run, parts } =
+            self.choose(&self.world.program()?.access(), Selection::All)?;
+        write_tables(&run, &parts, format, &self.out)
     }
 
-    /// Leaves the chosen episodes in the log of `run`, the `default` ones unless a number was given.
-    fn choose(&self, run: &mut RecordedRun, default: Selection) -> Result<()> {
-        let RecordedRun { log, world, .. } = run;
-        let before = log.episodes.len();
-        if !self.cases.is_empty() {
-            let ids = world.description().case_ids();
-            let chosen: BTreeSet<&str> =
-                select_cases(&ids, &self.cases)?.into_iter().map(|case| ids[case]).collect();
-            log.episodes.retain(|record| chosen.contains(record.case.as_str()));
-            log.errors.retain(|error| {
-                EpisodeKey::read(&error.key).is_some_and(|key| chosen.contains(key.case.as_str()))
-            });
+    /// The run with the chosen episodes alone, the `default` ones unless a number was given.
+    fn choose(&self, access: &WorldAccess, default: Selection) -> Result<ChosenRun> {
+        let mut parts = RunParts::open(&self.run, self.scratch())?;
+        warn_of_damage(&parts.head().damaged);
+        let mut run = RecordedRun::of(parts.head().clone(), Successes::default(), access)?;
+        let mut before = 0;
+        for record in parts.episodes() {
+            run.successes.extend([&record?]);
+            before += 1;
         }
-        if let Some(words) = &self.condition {
-            log.episodes.retain(|record| record.condition().has_words(words));
-            log.errors.retain(|error| {
-                EpisodeKey::read(&error.key).is_some_and(|key| key.condition.has_words(words))
-            });
+        let mut count = before;
+        if !self.cases.is_empty() || self.condition.is_some() {
+            let ids = run.world.description().case_ids();
+            let cases = match &self.cases[..] {
+                [] => None,
+                cases => Some(select_cases(&ids, cases)?),
+            };
+            let cases: Option<BTreeSet<&str>> =
+                cases.map(|cases| cases.into_iter().map(|case| ids[case]).collect());
+            let is_chosen = |key: &EpisodeKey| {
+                cases.as_ref().is_none_or(|cases| cases.contains(key.case.as_str()))
+                    && self.condition.as_ref().is_none_or(|words| key.condition.has_words(words))
+            };
+            parts
+                .head_mut()
+                .errors
+                .retain(|error| EpisodeKey::read(&error.key).is_some_and(|key| is_chosen(&key)));
+            count = 0;
+            parts.retain(|record| {
+                let is_chosen = is_chosen(&record.own_key());
+                count += usize::from(is_chosen);
+                is_chosen
+            })?;
         }
-        let selection = self.episodes.unwrap_or(default);
-        let chosen = selection.choose(log, &BTreeSet::new());
-        let mut index = 0..;
-        log.episodes.retain(|_| index.next().is_some_and(|index| chosen.contains(&index)));
-        if selection != Selection::All {
-            log.errors.clear();
+        if let Selection::First(most) = self.episodes.unwrap_or(default) {
+            let mut first = FirstEpisodes::new(most);
+            for record in parts.episodes() {
+                first.add(&record?, false);
+            }
+            let (chosen, mut number) = (first.numbers(), 0..);
+            parts.retain(|_| number.next().is_some_and(|number| chosen.contains(&number)))?;
+            parts.head_mut().errors.clear();
+            count = chosen.len();
         }
-        if log.episodes.is_empty() {
+        if count == 0 {
             bail!(
                 "{} has {before} finished episodes, and none of them was chosen: `memtransfer view {}` lists them",
                 self.run.display(),
                 shell_word(&self.run)
             );
         }
-        if log.episodes.len() < before {
-            say!("{} of {before} episodes", log.episodes.len());
+        if count < before {
+            say!("{count} of {before} episodes");
         }
-        Ok(())
+        Ok(ChosenRun { run, parts })
     }
+
+    /// A folder in the file system of `--out`, which has room for as much.
+    fn scratch(&self) -> &Path {
+        let folders = self.out.ancestors().filter(|folder| *folder != Path::new(""));
+        folders.into_iter().find(|folder| folder.is_dir()).unwrap_or(Path::new("."))
+    }
+}
+
+/// A run and the episodes of it that are chosen.
+struct ChosenRun {
+    /// The run, whose log has no episodes, with its successes, chosen or not.
+    run: RecordedRun,
+    /// The chosen episodes.
+    parts: RunParts,
 }

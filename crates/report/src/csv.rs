@@ -6,7 +6,7 @@
 use std::io::{self, Write};
 
 use super::document::{Table, TableCell};
-use super::frame::DataFrame;
+use super::frame::{DataFrame, Values};
 use super::view::THEIRS;
 
 /// The heading of the column that says whose figures a row has.
@@ -34,19 +34,31 @@ pub(super) fn write_table(table: &Table, policy: Option<&str>, out: impl Write) 
     Ok(())
 }
 
-impl DataFrame {
-    /// Writes it as CSV; an absent value is an empty field.
-    ///
-    /// # Errors
-    /// When writing fails.
-    pub fn write_csv(&self, out: impl Write) -> io::Result<()> {
+/// A CSV file of a frame; an absent value is an empty field.
+pub(super) struct CsvFile<W: Write>(csv::Writer<W>);
+
+impl<W: Write> CsvFile<W> {
+    /// A file with the columns of `frame`, without rows.
+    pub(super) fn create(frame: &DataFrame<'_>, out: W) -> io::Result<Self> {
         let mut writer = csv::Writer::from_writer(out);
-        writer.write_record(self.columns.iter().map(|column| literal(column.name.clone())))?;
-        for row in 0..self.rows() {
-            writer
-                .write_record(self.columns.iter().map(|column| literal(column.values.text(row))))?;
+        writer.write_record(frame.columns.iter().map(|column| literal(column.name.clone())))?;
+        Ok(Self(writer))
+    }
+
+    /// Adds the rows of `frame`.
+    pub(super) fn write(&mut self, frame: &DataFrame<'_>) -> io::Result<()> {
+        for row in 0..frame.rows {
+            let fields = frame.columns.iter().map(|column| match &column.values {
+                Values::Text(_) | Values::Word(_) => literal(column.values.text(row)),
+                _ => column.values.text(row),
+            });
+            self.0.write_record(fields)?;
         }
-        writer.flush()
+        Ok(())
+    }
+
+    pub(super) fn finish(mut self) -> io::Result<()> {
+        self.0.flush()
     }
 }
 

@@ -10,6 +10,7 @@ mod csv;
 mod data;
 mod document;
 mod frame;
+mod frame_file;
 mod gates;
 mod html;
 mod latex;
@@ -27,12 +28,13 @@ mod testing;
 #[cfg(test)]
 mod tests;
 
-pub use data::{episodes_frame, timings_frame};
+pub use data::{episodes_frame, timings_frame, world_facts};
 pub use document::{
     Missing, ReportBlock, ReportDocument, ReportSection, RowGroup, Table, TableCell, TableColumn,
     TableRow,
 };
-pub use frame::{DataFrame, Series, Values};
+pub use frame::{DataFrame, Series, Value, Values};
+pub use frame_file::{FrameFile, TableFormat};
 pub use gates::gates;
 pub use plot::{Curve, Curves, ReportFigure, Stack, StackRow, curves, stack};
 pub use published::{Published, PublishedCondition, PublishedError, PublishedFigure};
@@ -240,8 +242,9 @@ fn write_files(logs: &[RunLog], dir: &Path, options: Options<'_>) -> Result<(), 
     }
     let successes: Vec<Successes> = logs.iter().map(|log| log.episodes.iter().collect()).collect();
     let runs: Vec<(&RunLog, &Successes)> = logs.iter().zip(&successes).collect();
-    let mut frames =
-        vec![("conditions", data::conditions(&views)), ("episodes", data::episodes_frame(&runs))];
+    let facts = world_facts(logs.iter().flat_map(|log| &log.episodes));
+    let episodes = data::episodes_frame(&runs, &facts);
+    let mut frames = vec![("conditions", data::conditions(&views)), ("episodes", episodes)];
     if views.iter().any(|view| view.scores.streams.is_some()) {
         frames.push(("streams", data::streams(&views)));
     }
@@ -251,8 +254,10 @@ fn write_files(logs: &[RunLog], dir: &Path, options: Options<'_>) -> Result<(), 
         text("published.toml", &figures)?;
     }
     for (name, frame) in frames {
-        write_file(dir.join(format!("{name}.csv")), |file| frame.write_csv(file))?;
-        write_file(dir.join(format!("{name}.parquet")), |file| frame.write_parquet(file))?;
+        for format in [TableFormat::Csv, TableFormat::Parquet] {
+            let path = dir.join(format!("{name}.{}", format.extension()));
+            write_file(path, |file| frame.write(format, file))?;
+        }
     }
     Ok(())
 }

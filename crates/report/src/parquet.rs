@@ -1,299 +1,197 @@
 //! Parquet files: a typed, nullable column for each series of a frame.
 //!
-//! The simplest files that the format allows (<https://parquet.apache.org/docs/file-format/>): one row group,
-//! uncompressed, each column one data page of version 1 in PLAIN encoding with definition levels in one bit, and
-//! metadata in Thrift's compact protocol.
+//! Columns are compressed with Zstandard, and values that repeat are in dictionaries. A row group is what is written at once.
 
 use std::io::{self, Write};
+use std::sync::Arc;
 
-use super::frame::{DataFrame, Series, Values};
+use parquet::basic::{Compression, LogicalType, Repetition, Type as PhysicalType, ZstdLevel};
+use parquet::data_type::{BoolType, ByteArray, ByteArrayType, DataType, DoubleType, Int64Type};
+use parquet::errors::Result as ParquetResult;
+use parquet::file::properties::{EnabledStatistics, WriterProperties};
+use parquet::file::writer::{SerializedColumnWriter, SerializedFileWriter};
+use parquet::schema::types::{Type, TypePtr};
 
-const MAGIC: &[u8; 4] = b"PAR1";
+use super::frame::{DataFrame, Series, Value, Values};
 
-impl DataFrame {
-    /// Writes it as a Parquet file.
-    ///
-    /// # Errors
-    /// When writing fails, or a column is larger than the format allows.
-    pub fn write_parquet(&self, mut out: impl Write) -> io::Result<()> {
-        out.write_all(MAGIC)?;
-        let mut offset = MAGIC.len();
-        let mut chunks = Vec::new();
-        for series in &self.columns {
-            let page = page(series)?;
-            out.write_all(&page)?;
-            chunks.push(ColumnChunk { offset: count(offset)?, bytes: count(page.len())? });
-            offset += page.len();
+/// A Parquet file that is written in row groups.
+pub(super) struct ParquetFile<W: Write + Send>(SerializedFileWriter<W>);
+
+impl<W: Write + Send> ParquetFile<W> {
+    /// A file with the columns of `frame`, without rows.
+    pub(super) fn create(frame: &DataFrame<'_>, out: W) -> io::Result<Self> {
+        let properties = WriterProperties::builder()
+            .set_created_by(concat!("memtransfer ", env!("CARGO_PKG_VERSION")).to_owned())
+            .set_compression(Compression::ZSTD(ZstdLevel::default()))
+            // Of each row group, not of each page: the writer keeps them all until the end.
+            .set_statistics_enabled(EnabledStatistics::Chunk)
+            .set_offset_index_disabled(true)
+            .build();
+        let file = SerializedFileWriter::new(out, schema(frame)?, Arc::new(properties))?;
+        Ok(Self(file))
+    }
+
+    /// Adds the rows `from..to` of `frame` as a row group.
+    pub(super) fn write(
+        &mut self,
+        frame: &DataFrame<'_>,
+        from: usize,
+        to: usize,
+    ) -> io::Result<()> {
+        let mut group = self.0.next_row_group()?;
+        for series in &frame.columns {
+            let missing = || io::Error::other("the frame has another column than before");
+            let mut column = group.next_column()?.ok_or_else(missing)?;
+            write_column(&mut column, &series.values, from, to)?;
+            column.close()?;
         }
-        let footer = footer(self, &chunks)?;
-        out.write_all(&footer)?;
-        out.write_all(&length("footer", "bytes", footer.len())?.to_le_bytes())?;
-        out.write_all(MAGIC)
+        group.close()?;
+        Ok(())
+    }
+
+    pub(super) fn finish(self) -> io::Result<()> {
+        self.0.into_inner()?.flush()
     }
 }
 
-/// Where a column is in the file.
-struct ColumnChunk {
-    offset: i64,
-    bytes: i64,
-}
-
-/// The number of `unit` in the part called `name` as the format stores it: in 31 bits.
-///
-/// # Errors
-/// When there are more.
-fn length(name: &str, unit: &str, count: usize) -> io::Result<i32> {
-    i32::try_from(count).map_err(|_| {
-        io::Error::other(format!(
-            "`{name}` has {count} {unit}, and a part of a Parquet file has at most {}: write fewer episodes into one file, \
-             or CSV",
-            i32::MAX
-        ))
-    })
-}
-
-/// A number of rows or bytes of the whole file.
-fn count(count: usize) -> io::Result<i64> {
-    i64::try_from(count).map_err(io::Error::other)
-}
-
-/// A data page with its header: definition levels, then the values that are present.
-fn page(Series { name, values }: &Series) -> io::Result<Vec<u8>> {
-    let (present, plain) = match values {
-        Values::Text(list) => encode(list, |text, bytes| {
-            bytes.extend(length(name, "bytes in one text", text.len())?.to_le_bytes());
-            bytes.extend(text.as_bytes());
-            Ok(())
-        })?,
-        Values::Whole(list) => encode(list, |whole, bytes| {
-            bytes.extend(whole.to_le_bytes());
-            Ok(())
-        })?,
-        Values::Real(list) => encode(list, |real, bytes| {
-            bytes.extend(real.to_le_bytes());
-            Ok(())
-        })?,
-        Values::Flag(list) => {
-            let flags: Vec<bool> = list.iter().flatten().copied().collect();
-            (list.iter().map(Option::is_some).collect(), bits(&flags))
+fn write_column(
+    column: &mut SerializedColumnWriter<'_>,
+    values: &Values<'_>,
+    from: usize,
+    to: usize,
+) -> ParquetResult<()> {
+    fn write<D: DataType, V>(
+        column: &mut SerializedColumnWriter<'_>,
+        rows: std::ops::Range<usize>,
+        value: &Value<'_, V>,
+        stored: impl Fn(V) -> D::T,
+    ) -> ParquetResult<()> {
+        let mut present = Vec::with_capacity(rows.len());
+        let mut stored_values = Vec::new();
+        for row in rows {
+            let value = value(row).map(&stored);
+            present.push(i16::from(value.is_some()));
+            stored_values.extend(value);
         }
-    };
-    // One bit-packed run of groups of eight levels; its length comes before it.
-    let mut levels = Vec::new();
-    varint(&mut levels, (present.len().div_ceil(8) as u64) << 1 | 1);
-    levels.extend(bits(&present));
-    let mut content = length(name, "bytes of levels", levels.len())?.to_le_bytes().to_vec();
-    content.extend(levels);
-    content.extend(plain);
-
-    let mut header = Thrift::default();
-    header.i32(1, 0); // DATA_PAGE
-    let (bytes, rows) =
-        (length(name, "bytes", content.len())?, length(name, "rows", values.len())?);
-    header.i32(2, bytes);
-    header.i32(3, bytes);
-    header.structure(5, |page| {
-        page.i32(1, rows);
-        page.i32(2, 0); // PLAIN
-        page.i32(3, 3); // definition levels: RLE
-        page.i32(4, 3); // repetition levels: RLE
-    });
-    let mut page = header.finish();
-    page.extend(content);
-    Ok(page)
-}
-
-/// Which values are present, and those values in PLAIN encoding.
-fn encode<T>(
-    list: &[Option<T>],
-    write: impl Fn(&T, &mut Vec<u8>) -> io::Result<()>,
-) -> io::Result<(Vec<bool>, Vec<u8>)> {
-    let mut bytes = Vec::new();
-    list.iter().flatten().try_for_each(|value| write(value, &mut bytes))?;
-    Ok((list.iter().map(Option::is_some).collect(), bytes))
-}
-
-/// Bits in bytes, the lowest first.
-fn bits(flags: &[bool]) -> Vec<u8> {
-    let byte = |flags: &[bool]| {
-        flags.iter().enumerate().fold(0, |byte, (place, flag)| byte | u8::from(*flag) << place)
-    };
-    flags.chunks(8).map(byte).collect()
-}
-
-/// `FileMetaData`.
-fn footer(frame: &DataFrame, chunks: &[ColumnChunk]) -> io::Result<Vec<u8>> {
-    let (rows, columns) = (count(frame.rows())?, length("schema", "columns", frame.columns.len())?);
-    let mut meta = Thrift::default();
-    meta.i32(1, 1);
-    meta.list(2, frame.columns.len() + 1, |index, element| match index.checked_sub(1) {
-        None => {
-            element.text(4, "memtransfer");
-            element.i32(5, columns);
-        }
-        Some(column) => {
-            let series = &frame.columns[column];
-            element.i32(1, physical(&series.values));
-            element.i32(3, 1); // OPTIONAL
-            element.text(4, &series.name);
-            if matches!(series.values, Values::Text(_)) {
-                element.i32(6, 0); // UTF8
-            }
-        }
-    });
-    meta.i64(3, rows);
-    meta.list(4, 1, |_, group| {
-        group.list(1, chunks.len(), |column, chunk| {
-            let (series, at) = (&frame.columns[column], &chunks[column]);
-            chunk.i64(2, at.offset);
-            chunk.structure(3, |meta| {
-                meta.i32(1, physical(&series.values));
-                meta.integers(2, &[0, 3]); // PLAIN, RLE
-                meta.texts(3, &[&series.name]);
-                meta.i32(4, 0); // UNCOMPRESSED
-                meta.i64(5, rows);
-                meta.i64(6, at.bytes);
-                meta.i64(7, at.bytes);
-                meta.i64(9, at.offset);
-            });
-        });
-        group.i64(2, chunks.iter().map(|chunk| chunk.bytes).sum());
-        group.i64(3, rows);
-    });
-    meta.text(6, "memtransfer");
-    Ok(meta.finish())
-}
-
-/// The code of the physical type.
-const fn physical(values: &Values) -> i32 {
+        column.typed::<D>().write_batch(&stored_values, Some(&present), None)?;
+        Ok(())
+    }
+    let rows = from..to;
     match values {
-        Values::Flag(_) => 0,
-        Values::Whole(_) => 2,
-        Values::Real(_) => 5,
-        Values::Text(_) => 6,
-    }
-}
-
-/// A struct in Thrift's compact protocol, under construction.
-#[derive(Default)]
-struct Thrift {
-    bytes: Vec<u8>,
-    last_field: u8,
-}
-
-impl Thrift {
-    const I32: u8 = 5;
-    const I64: u8 = 6;
-    const BINARY: u8 = 8;
-    const LIST: u8 = 9;
-    const STRUCT: u8 = 12;
-
-    /// Fields come in ascending order, less than 16 apart.
-    fn field(&mut self, id: u8, kind: u8) {
-        self.bytes.push((id - self.last_field) << 4 | kind);
-        self.last_field = id;
-    }
-
-    fn i32(&mut self, id: u8, value: i32) {
-        self.field(id, Self::I32);
-        zigzag(&mut self.bytes, value.into());
-    }
-
-    fn i64(&mut self, id: u8, value: i64) {
-        self.field(id, Self::I64);
-        zigzag(&mut self.bytes, value);
-    }
-
-    fn text(&mut self, id: u8, text: &str) {
-        self.field(id, Self::BINARY);
-        binary(&mut self.bytes, text);
-    }
-
-    fn structure(&mut self, id: u8, write: impl FnOnce(&mut Self)) {
-        self.field(id, Self::STRUCT);
-        let mut inner = Self::default();
-        write(&mut inner);
-        self.bytes.extend(inner.finish());
-    }
-
-    fn list(&mut self, id: u8, len: usize, write: impl Fn(usize, &mut Self)) {
-        self.list_header(id, len, Self::STRUCT);
-        for index in 0..len {
-            let mut element = Self::default();
-            write(index, &mut element);
-            self.bytes.extend(element.finish());
+        Values::Text(value) | Values::Word(value) => {
+            write::<ByteArrayType, _>(column, rows, value, |text| {
+                ByteArray::from(text.into_bytes())
+            })
         }
-    }
-
-    fn integers(&mut self, id: u8, values: &[i64]) {
-        self.list_header(id, values.len(), Self::I32);
-        values.iter().for_each(|value| zigzag(&mut self.bytes, *value));
-    }
-
-    fn texts(&mut self, id: u8, values: &[&str]) {
-        self.list_header(id, values.len(), Self::BINARY);
-        values.iter().for_each(|value| binary(&mut self.bytes, value));
-    }
-
-    fn list_header(&mut self, id: u8, len: usize, kind: u8) {
-        self.field(id, Self::LIST);
-        if len < 15 {
-            self.bytes.push((len as u8) << 4 | kind);
-        } else {
-            self.bytes.push(0xf0 | kind);
-            varint(&mut self.bytes, len as u64);
-        }
-    }
-
-    fn finish(mut self) -> Vec<u8> {
-        self.bytes.push(0);
-        self.bytes
+        Values::Whole(value) => write::<Int64Type, _>(column, rows, value, |whole| whole),
+        Values::Natural(value) => write::<Int64Type, _>(column, rows, value, u64::cast_signed),
+        Values::Real(value) => write::<DoubleType, _>(column, rows, value, |real| real),
+        Values::Flag(value) => write::<BoolType, _>(column, rows, value, |flag| flag),
     }
 }
 
-fn binary(bytes: &mut Vec<u8>, text: &str) {
-    varint(bytes, text.len() as u64);
-    bytes.extend(text.as_bytes());
-}
-
-fn zigzag(bytes: &mut Vec<u8>, value: i64) {
-    varint(bytes, ((value << 1) ^ (value >> 63)).cast_unsigned());
-}
-
-fn varint(bytes: &mut Vec<u8>, mut value: u64) {
-    while value >= 0x80 {
-        bytes.push(value as u8 | 0x80);
-        value >>= 7;
-    }
-    bytes.push(value as u8);
+fn schema(frame: &DataFrame<'_>) -> ParquetResult<TypePtr> {
+    let column = |Series { name, values }: &Series<'_>| {
+        let (physical, logical) = match values {
+            Values::Text(_) | Values::Word(_) => {
+                (PhysicalType::BYTE_ARRAY, Some(LogicalType::String))
+            }
+            Values::Whole(_) => (PhysicalType::INT64, None),
+            Values::Natural(_) => (PhysicalType::INT64, Some(LogicalType::integer(64, false))),
+            Values::Real(_) => (PhysicalType::DOUBLE, None),
+            Values::Flag(_) => (PhysicalType::BOOLEAN, None),
+        };
+        let column = Type::primitive_type_builder(name, physical)
+            .with_repetition(Repetition::OPTIONAL)
+            .with_logical_type(logical);
+        column.build().map(Arc::new)
+    };
+    let columns = frame.columns.iter().map(column).collect::<ParquetResult<_>>()?;
+    Ok(Arc::new(Type::group_type_builder("memtransfer").with_fields(columns).build()?))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use std::rc::Rc;
 
-    #[test]
-    fn what_the_format_cannot_count_is_refused_with_its_size() {
-        assert_eq!(length("key", "rows", i32::MAX as usize).unwrap(), i32::MAX);
-        let error = length("actions", "bytes", 1 << 31).unwrap_err();
-        insta::assert_snapshot!(error, @"`actions` has 2147483648 bytes, and a part of a Parquet file has at most 2147483647: write fewer episodes into one file, or CSV");
+    use parquet::basic::Encoding;
+    use parquet::file::reader::{FileReader, SerializedFileReader};
+    use parquet::record::Field;
+
+    use super::*;
+    use crate::{FrameFile, TableFormat};
+
+    type Row = (Option<&'static str>, Option<i64>, Option<u64>, Option<f64>, Option<bool>);
+
+    fn frame(rows: Vec<Row>) -> DataFrame<'static> {
+        let rows: Rc<[Row]> = rows.into();
+        let count = rows.len();
+        let text = |rows: Rc<[Row]>| -> Value<'static, String> {
+            Box::new(move |row| rows[row].0.map(str::to_owned))
+        };
+        let (word, key) = (text(Rc::clone(&rows)), text(Rc::clone(&rows)));
+        let [whole, natural, real] = [(); 3].map(|()| Rc::clone(&rows));
+        let columns = [
+            ("key", Values::Text(key)),
+            ("memory", Values::Word(word)),
+            ("steps", Values::Whole(Box::new(move |row| whole[row].1))),
+            ("seed", Values::Natural(Box::new(move |row| natural[row].2))),
+            ("spl", Values::Real(Box::new(move |row| real[row].3))),
+            ("success", Values::Flag(Box::new(move |row| rows[row].4))),
+        ];
+        let columns = columns.map(|(name, values)| Series { name: name.to_owned(), values });
+        DataFrame { rows: count, columns: columns.into() }
     }
 
     #[test]
-    fn a_small_file_has_the_bytes_that_were_read_with_pyarrow() {
-        let series = |name: &str, values| Series { name: name.to_owned(), values };
-        let frame = DataFrame {
-            columns: vec![
-                series("key", Values::Text(vec![Some("a".into()), Some("ä".into())])),
-                series("steps", Values::Whole(vec![Some(7), None])),
-                series("sr", Values::Real(vec![None, Some(0.5)])),
-                series("success", Values::Flag(vec![Some(true), None])),
-            ],
-        };
+    fn a_file_has_a_row_group_for_each_part_compressed_and_with_dictionaries() {
+        let first: Vec<Row> = (0..1000)
+            .map(|row| (Some("episodic"), Some(row), Some(u64::MAX), Some(0.5), Some(row % 2 == 0)))
+            .collect();
+        let second: Vec<Row> = vec![
+            (Some("ä"), Some(i64::MIN), None, Some(-0.1), None),
+            (None, None, Some(0), None, None),
+        ];
         let mut file = Vec::new();
-        frame.write_parquet(&mut file).unwrap();
-        let hex: Vec<String> =
-            file.chunks(32).map(|line| line.iter().map(|b| format!("{b:02x}")).collect()).collect();
-        insta::assert_snapshot!(hex.join("\n"));
+        let mut out =
+            FrameFile::create(TableFormat::Parquet, &frame(Vec::new()), &mut file).unwrap();
+        for part in [&first, &second] {
+            out.write(&frame(part.clone())).unwrap();
+        }
+        out.finish().unwrap();
+        assert!(file.len() < 12_000, "{} bytes", file.len());
+        let reader = SerializedFileReader::new(bytes(file)).unwrap();
+        let groups = reader.metadata().row_groups();
+        assert_eq!(groups.iter().map(|group| group.num_rows()).collect::<Vec<_>>(), [1000, 2]);
+        for column in groups[0].columns() {
+            assert!(matches!(column.compression(), Compression::ZSTD(_)));
+            let has_dictionary = column.encodings().any(|one| one == Encoding::RLE_DICTIONARY);
+            assert_eq!(has_dictionary, column.column_type() != PhysicalType::BOOLEAN);
+        }
+        let rows = reader.get_row_iter(None).unwrap();
+        for (row, expected) in rows.zip(first.into_iter().chain(second)) {
+            let row = row.unwrap();
+            let fields: Vec<&Field> = row.get_column_iter().map(|(_, field)| field).collect();
+            let (text, whole, natural, real, flag) = expected;
+            let text = text.map_or(Field::Null, |text| Field::Str(text.to_owned()));
+            let expected = [
+                &text,
+                &text,
+                &whole.map_or(Field::Null, Field::Long),
+                &natural.map_or(Field::Null, Field::ULong),
+                &real.map_or(Field::Null, Field::Double),
+                &flag.map_or(Field::Null, Field::Bool),
+            ];
+            assert_eq!(fields, expected);
+        }
+    }
+
+    /// What the reader reads from.
+    fn bytes(file: Vec<u8>) -> std::fs::File {
+        use std::io::Seek;
+        let mut on_disk = tempfile::tempfile().unwrap();
+        on_disk.write_all(&file).unwrap();
+        on_disk.rewind().unwrap();
+        on_disk
     }
 }

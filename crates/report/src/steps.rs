@@ -23,11 +23,11 @@ fn word(word: Option<&str>) -> Option<String> {
 }
 
 /// A row for each moment of these episodes of `log`: the start, and after every step. `docs/exports.md` describes the columns.
-pub fn steps_frame(
-    log: &RunLog,
-    world: &WorldDeclaration,
-    episodes: &[EpisodeTimeline<'_>],
-) -> DataFrame {
+pub fn steps_frame<'a>(
+    log: &'a RunLog,
+    world: &'a WorldDeclaration,
+    episodes: &'a [EpisodeTimeline<'a>],
+) -> DataFrame<'a> {
     let asked: BTreeSet<&str> = episodes.iter().map(|one| one.record.key.as_str()).collect();
     // The last one of a step: requests of attempts that were given up come before those of the finished one.
     let requests: BTreeMap<(&str, u32), &RequestRecord> = log
@@ -44,28 +44,28 @@ pub fn steps_frame(
         })
     });
     let rows: Vec<StepRow<'_>> = rows.collect();
-    let mut frame = FrameBuilder::new(&rows);
+    let mut frame = FrameBuilder::new(rows);
     add_run(&mut frame, |row| row.log);
     frame.text("key", |row| Some(row.timeline.record.key.clone()));
-    frame.text("memory", |row| Some(row.timeline.record.memory.to_string()));
+    frame.word("memory", |row| Some(row.timeline.record.memory.to_string()));
     frame.text("case", |row| Some(row.timeline.record.case.clone()));
     frame.whole("run", |row| Some(row.timeline.record.run));
     frame.whole("step", |row| Some(row.moment.step));
     let first = frame.len();
     for (place, field) in world.state.iter().enumerate() {
         if field.words.is_empty() {
-            frame.real(&field.name, |row| {
+            frame.real(&field.name, move |row| {
                 Some(row.moment.state.numbers().get(place)?).copied().map(f64::from)
             });
         } else {
-            frame.text(&field.name, |row| {
+            frame.word(&field.name, move |row| {
                 let words = world.state_words(&row.moment.state);
                 words.into_iter().nth(place).map(|(_, word)| word)
             });
         }
     }
-    frame.text("feedback", |row| Some(row.moment.feedback.clone()));
-    frame.text("action", |row| row.moment.action.clone());
+    frame.word("feedback", |row| Some(row.moment.feedback.clone()));
+    frame.word("action", |row| row.moment.action.clone());
     frame.flag("is_last", |row| Some(row.moment.step == row.timeline.record.steps));
     frame.whole("sub_goals_met", |row| Some(row.moment.sub_goals));
     frame.whole("sub_goals", |row| Some(row.timeline.record.required));
@@ -75,7 +75,7 @@ pub fn steps_frame(
     });
     frame.text("sources", |row| word(row.moment.retrieved));
     frame.text("distances", |row| word(row.moment.distances));
-    frame.text("outcome", |row| Some(row.request?.outcome.word().to_owned()));
+    frame.word("outcome", |row| Some(row.request?.outcome.word().to_owned()));
     frame.whole("latency_us", |row| row.request?.latency_us);
     frame.whole("images", |row| row.request?.images);
     frame.whole("prompt_tokens", |row| row.request?.prompt_tokens);
@@ -98,6 +98,7 @@ mod tests {
     use domain::{FeedbackCode, State};
 
     use super::*;
+    use crate::TableFormat;
     use rigs::records::{log, record, world};
     use world_client::frames::ViewKey;
 
@@ -105,7 +106,8 @@ mod tests {
     fn a_state_that_is_called_as_another_column_has_another_name() {
         let mut world = world().declaration;
         world.state[1].name = "step".to_owned();
-        let frame = steps_frame(&log(Vec::new()), &world, &[]);
+        let log = log(Vec::new());
+        let frame = steps_frame(&log, &world, &[]);
         let names = frame.columns.iter().map(|column| column.name.as_str());
         let names: Vec<&str> = names.filter(|name| name.ends_with("step")).collect();
         assert_eq!(names, ["step", "state_step"]);
@@ -162,7 +164,8 @@ mod tests {
             scenery: None,
         };
         let mut csv = Vec::new();
-        steps_frame(&log(vec![one.clone()]), &world, &[timeline]).write_csv(&mut csv).unwrap();
+        let log = log(vec![one.clone()]);
+        steps_frame(&log, &world, &[timeline]).write(TableFormat::Csv, &mut csv).unwrap();
         let text =
             String::from_utf8(csv).unwrap().replace("episodic/original/unchanged/original/", "");
         insta::assert_snapshot!(text, @"

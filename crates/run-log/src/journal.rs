@@ -1,7 +1,7 @@
 //! An append-only file of JSON lines that survives a kill at any moment, and damage to any line.
 
 use std::fs::{File, Metadata};
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, BufRead, Read, Seek, SeekFrom};
 use std::marker::PhantomData;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -63,7 +63,7 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
     ) -> Result<(Self, JournalContents<T>), LogError> {
         let mut file = durable::append(path).map_err(system("open", path))?;
         let text = durable::read(path).map_err(system("read", path))?;
-        let contents = parse(path, &text, check);
+        let contents = parse(path, &text[..], check).map_err(system("read", path))?;
         if !contents.damaged.is_empty() {
             set_aside(path, &text, &contents.damaged)?;
             file = durable::append(path).map_err(system("open", path))?;
@@ -177,11 +177,19 @@ pub fn read_journal<T: DeserializeOwned>(
     path: &Path,
     check: impl FnMut(&T) -> Result<(), String>,
 ) -> Result<JournalContents<T>, LogError> {
-    let text = match durable::read(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Vec::new(),
-        text => text.map_err(system("read", path))?,
+    let parsed = match open_lines(path)? {
+        Some(text) => parse(path, text, check),
+        None => parse(path, io::empty(), check),
     };
-    Ok(parse(path, &text, check))
+    parsed.map_err(system("read", path))
+}
+
+/// Opens the journal in `path`; `None` if there is none.
+pub(super) fn open_lines(path: &Path) -> Result<Option<impl BufRead + use<>>, LogError> {
+    match durable::open_buffered(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        text => text.map(Some).map_err(system("read", path)),
+    }
 }
 
 /// Reads a journal as it grows: each byte once.
@@ -250,33 +258,88 @@ fn whole_lines(text: &[u8]) -> &[u8] {
     &text[..end]
 }
 
+/// The lines of a journal, one after the other.
+#[derive(Debug)]
+pub(super) struct JournalLines<R> {
+    file: String,
+    reader: R,
+    /// The number of the line that was read last.
+    number: usize,
+    text: Vec<u8>,
+    torn: u64,
+}
+
+impl<R: BufRead> JournalLines<R> {
+    /// The lines that `reader` reads from the journal in `path`.
+    pub(super) fn new(path: &Path, reader: R) -> Self {
+        let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        Self { file, reader, number: 0, text: Vec::new(), torn: 0 }
+    }
+
+    /// Reads the next line; `None` at the end. A line is damaged that is no entry, or that `check` refuses.
+    ///
+    /// # Errors
+    /// When an operation of the system fails.
+    pub(super) fn next<T: DeserializeOwned>(
+        &mut self,
+        mut check: impl FnMut(&T) -> Result<(), String>,
+    ) -> io::Result<Option<Result<T, DamagedLine>>> {
+        self.text.clear();
+        self.reader.read_until(b'\n', &mut self.text)?;
+        if self.text.is_empty() {
+            return Ok(None);
+        }
+        self.number += 1;
+        if !self.text.ends_with(b"\n") {
+            // Not a line that was being written if it has more than itself.
+            if !sealed::is_line_and_more(&self.text) {
+                self.torn = self.text.len() as u64;
+                return Ok(None);
+            }
+            self.text.push(b'\n');
+            return Ok(Some(Err(self.damaged("its line end was changed"))));
+        }
+        let entry = sealed::read(&self.text).map_err(|problem| without_names(&problem));
+        let entry = entry.and_then(|entry| check(&entry).map(|()| entry));
+        Ok(Some(entry.map_err(|problem| self.damaged(&problem))))
+    }
+
+    /// The line that was read last, with its end.
+    pub(super) fn text(&self) -> &[u8] {
+        &self.text
+    }
+
+    /// The number of the line that was read last, from 1.
+    pub(super) fn number(&self) -> usize {
+        self.number
+    }
+
+    fn damaged(&self, problem: &str) -> DamagedLine {
+        DamagedLine::new(self.file.clone(), self.number, problem, self.text.clone())
+    }
+}
+
+impl DamagedLine {
+    /// The line `text`, number `line` of the journal called `file`.
+    pub(super) fn new(file: String, line: usize, problem: &str, text: Vec<u8>) -> Self {
+        Self { file, line, problem: shortened(problem), text }
+    }
+}
+
 fn parse<T: DeserializeOwned>(
     path: &Path,
-    text: &[u8],
+    text: impl BufRead,
     mut check: impl FnMut(&T) -> Result<(), String>,
-) -> JournalContents<T> {
-    let whole = whole_lines(text);
+) -> io::Result<JournalContents<T>> {
+    let mut lines = JournalLines::new(path, text);
     let (mut entries, mut damaged) = (Vec::new(), Vec::new());
-    let mut set_aside = |line: usize, problem: &str, text: Vec<u8>| {
-        let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        damaged.push(DamagedLine { file, line, problem: shortened(problem), text });
-    };
-    let mut lines = 0;
-    for line in whole.split_inclusive(|&byte| byte == b'\n') {
-        lines += 1;
-        let entry = sealed::read(line).map_err(|problem| without_names(&problem));
-        match entry.and_then(|entry| check(&entry).map(|()| entry)) {
+    while let Some(line) = lines.next(&mut check)? {
+        match line {
             Ok(entry) => entries.push(entry),
-            Err(problem) => set_aside(lines, &problem, line.to_vec()),
+            Err(line) => damaged.push(line),
         }
     }
-    let rest = &text[whole.len()..];
-    if !sealed::is_line_and_more(rest) {
-        return JournalContents { entries, damaged, torn: rest.len() as u64 };
-    }
-    // Not a line that was being written: that has no more than itself.
-    set_aside(lines + 1, "its line end was changed", [rest, b"\n"].concat());
-    JournalContents { entries, damaged, torn: 0 }
+    Ok(JournalContents { entries, damaged, torn: lines.torn })
 }
 
 /// `problem`, which may repeat a text of any length from a line, cut in the middle.
@@ -387,7 +450,7 @@ mod tests {
         let problem = |from: &str, to: &str| {
             let text = record.replace(from, to) + "\n";
             let contents =
-                parse::<crate::EpisodeRecord>(Path::new("j"), text.as_bytes(), unchecked);
+                parse::<crate::EpisodeRecord>(Path::new("j"), text.as_bytes(), unchecked).unwrap();
             contents.damaged.first().map(ToString::to_string).unwrap_or_default()
         };
         insta::assert_snapshot!(problem("\"task\"", "\"tusk\""), @"j, line 1: unknown field `tusk` at line 1 column 175");

@@ -30,10 +30,12 @@ pub mod latency;
 mod manifest;
 pub mod memory_label;
 mod merge;
+mod parts;
 pub mod policy;
 mod read;
 mod record;
 mod sealed;
+mod sorted;
 pub mod source;
 pub mod step_view;
 pub mod usage;
@@ -53,6 +55,7 @@ pub use merge::{
     FactDifference, MergeError, PlannedFacts, UnitEpisode, UnitFolders, finish_unit, merge,
     unit_folder,
 };
+pub use parts::{EpisodeReader, RunParts};
 pub use read::{RunLog, tell_apart};
 pub use record::{
     BlockedRecord, Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RecallTotals,

@@ -69,47 +69,61 @@ impl RunLog {
         })
     }
 
-    /// Reads the run in `dir`.
+    /// Reads the run in `dir`, all of it. [`RunParts`](super::RunParts) reads logs that do not fit into memory.
     ///
     /// # Errors
     /// When there is none, or its log is broken.
     pub fn read(dir: &Path) -> Result<Self, LogError> {
+        let (mut log, known) = Self::read_head(dir)?;
+        let check = check_records(known, &log.manifest);
+        let damaged = &mut log.damaged;
+        log.episodes = read(dir, EPISODES_FILE, check, damaged)?;
+        log.episodes.sort_by(|a, b| a.key.cmp(&b.key));
+        let timings: Vec<EpisodeTimings> = read(dir, TIMINGS_FILE, unchecked, damaged)?;
+        // The last of each key: those of an episode that was set aside come before those of its repetition.
+        let timings: BTreeMap<String, EpisodeTimings> =
+            timings.into_iter().map(|timings| (timings.key.clone(), timings)).collect();
+        log.timings = timings.into_values().collect();
+        log.requests = read(dir, REQUESTS_FILE, unchecked, damaged)?;
+        let finished: BTreeSet<&str> =
+            log.episodes.iter().map(|record| record.key.as_str()).collect();
+        let errors: Vec<EpisodeError> = read(dir, ERRORS_FILE, unchecked, damaged)?;
+        let open = errors.into_iter().filter(|error| !finished.contains(error.key.as_str()));
+        let errors: BTreeMap<String, EpisodeError> =
+            open.map(|error| (error.key.clone(), error)).collect();
+        log.errors = errors.into_values().collect();
+        log.sessions = read(dir, SESSIONS_FILE, unchecked, damaged)?;
+        Ok(log)
+    }
+
+    /// Reads the manifest and the world of the run in `dir`: its log without what its journals hold.
+    ///
+    /// # Errors
+    /// When there is none, or a file is broken.
+    pub fn without_journals(dir: &Path) -> Result<Self, LogError> {
+        Ok(Self::read_head(dir)?.0)
+    }
+
+    /// As [`without_journals`](Self::without_journals), with what follows of each record from the run.
+    pub(super) fn read_head(dir: &Path) -> Result<(Self, KnownFacts), LogError> {
         if !dir.join(MANIFEST_FILE).exists() {
             return Err(LogError::NoRun(dir.to_owned()));
         }
         let manifest = Manifest::read(dir)?;
-        let mut damaged = Vec::new();
         let known = KnownFacts::of(dir, &manifest)?;
-        let world = known.world();
-        let check = check_records(known, &manifest);
-        let mut episodes = read(dir, EPISODES_FILE, check, &mut damaged)?;
-        episodes.sort_by(|a: &EpisodeRecord, b| a.key.cmp(&b.key));
-        let timings: Vec<EpisodeTimings> = read(dir, TIMINGS_FILE, unchecked, &mut damaged)?;
-        // The last of each key: those of an episode that was set aside come before those of its repetition.
-        let timings: BTreeMap<String, EpisodeTimings> =
-            timings.into_iter().map(|timings| (timings.key.clone(), timings)).collect();
-        let timings = timings.into_values().collect();
-        let requests = read(dir, REQUESTS_FILE, unchecked, &mut damaged)?;
-        let finished: BTreeSet<&str> = episodes.iter().map(|record| record.key.as_str()).collect();
-        let errors: Vec<EpisodeError> = read(dir, ERRORS_FILE, unchecked, &mut damaged)?;
-        let open = errors.into_iter().filter(|error| !finished.contains(error.key.as_str()));
-        let errors: BTreeMap<String, EpisodeError> =
-            open.map(|error| (error.key.clone(), error)).collect();
-        let errors = errors.into_values().collect();
-        let sessions = read(dir, SESSIONS_FILE, unchecked, &mut damaged)?;
-        let (dir, name) = (dir.to_owned(), last_parts(dir, 1));
-        Ok(Self {
-            dir,
-            name,
+        let head = Self {
+            dir: dir.to_owned(),
+            name: last_parts(dir, 1),
             manifest,
-            world,
-            episodes,
-            timings,
-            requests,
-            errors,
-            sessions,
-            damaged,
-        })
+            world: known.world(),
+            episodes: Vec::new(),
+            timings: Vec::new(),
+            requests: Vec::new(),
+            errors: Vec::new(),
+            sessions: Vec::new(),
+            damaged: Vec::new(),
+        };
+        Ok((head, known))
     }
 
     /// The types of the tasks of cases, by the case's id: of those that the manifest or an episode tells.
@@ -152,7 +166,8 @@ fn last_parts(dir: &Path, count: usize) -> String {
     last.to_string_lossy().into_owned()
 }
 
-fn read<T: serde::de::DeserializeOwned>(
+/// The entries of a journal; the damaged lines come to `damaged`.
+pub(super) fn read<T: serde::de::DeserializeOwned>(
     dir: &Path,
     file: &str,
     check: impl FnMut(&T) -> Result<(), String>,

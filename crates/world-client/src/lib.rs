@@ -15,7 +15,7 @@ mod world;
 
 pub use check::{Difference, check_run};
 pub use program::{Asker, WorldAccess, WorldFiles, WorldProgram};
-pub use selection::Selection;
+pub use selection::{FirstEpisodes, Selection};
 pub use timeline::{EpisodeEvent, EpisodeTimeline, EventLevel, TimelineStep};
 pub use world::{RunWorld, begin_of, facts_of};
 
@@ -60,9 +60,17 @@ impl RecordedRun {
     /// When `dir` holds no run, or a file of its world cannot be used.
     pub fn read(dir: &Path, access: &WorldAccess) -> Result<Self> {
         let log = RunLog::read(dir)?;
+        let successes = log.episodes.iter().collect();
+        Self::of(log, successes, access)
+    }
+
+    /// The run `log`, or a part of one, with the successes of all of it.
+    ///
+    /// # Errors
+    /// When a file of its world cannot be used.
+    pub fn of(log: RunLog, successes: Successes, access: &WorldAccess) -> Result<Self> {
         let world = RunWorld::new(&log, access)?;
         let notices = control_notice(log.manifest.settings.frames).into_iter().collect();
-        let successes = log.episodes.iter().collect();
         let mut run = Self { log, successes, world, access: access.clone(), notices };
         let changed = run.changed_assets().join(", another ");
         if !changed.is_empty() {

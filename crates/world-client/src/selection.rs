@@ -3,7 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::str::FromStr;
 
-use run_log::RunLog;
+use conditions::Condition;
+use run_log::{EpisodeRecord, RunLog};
 
 /// Episodes of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,20 +31,48 @@ impl Selection {
     /// turn.
     pub fn choose(self, log: &RunLog, keys: &BTreeSet<String>) -> BTreeSet<usize> {
         let Self::First(most) = self else { return (0..log.episodes.len()).collect() };
-        let mut turns = BTreeMap::new();
-        let mut ranked: Vec<_> = log
-            .episodes
-            .iter()
-            .enumerate()
-            .map(|(index, record)| {
-                let turn: &mut usize =
-                    turns.entry((record.is_success(), record.condition())).or_default();
-                *turn += 1;
-                (!keys.contains(&record.key), record.is_success(), *turn, index)
-            })
-            .collect();
-        ranked.sort_unstable();
-        ranked.into_iter().take(most).map(|(_, _, _, index)| index).collect()
+        let mut first = FirstEpisodes::new(most);
+        for record in &log.episodes {
+            first.add(record, keys.contains(&record.key));
+        }
+        first.numbers()
+    }
+}
+
+/// Selects episodes one after the other: preferred ones first, then failures, the conditions in turn.
+#[derive(Debug)]
+pub struct FirstEpisodes {
+    most: usize,
+    /// The number of episodes.
+    seen: usize,
+    /// Of each outcome and condition, the number of episodes.
+    turns: BTreeMap<(bool, Condition), usize>,
+    ranked: BTreeSet<Rank>,
+}
+
+/// Whether it is not preferred, whether it is a success, its turn among those of its condition, its number.
+type Rank = (bool, bool, usize, usize);
+
+impl FirstEpisodes {
+    /// Selects `most` episodes.
+    pub fn new(most: usize) -> Self {
+        Self { most, seen: 0, turns: BTreeMap::new(), ranked: BTreeSet::new() }
+    }
+
+    /// Adds the next episode.
+    pub fn add(&mut self, record: &EpisodeRecord, is_preferred: bool) {
+        let turn = self.turns.entry((record.is_success(), record.condition())).or_default();
+        *turn += 1;
+        self.ranked.insert((!is_preferred, record.is_success(), *turn, self.seen));
+        self.seen += 1;
+        if self.ranked.len() > self.most {
+            self.ranked.pop_last();
+        }
+    }
+
+    /// The numbers of the selected episodes, from 0, in the order in which they were added.
+    pub fn numbers(self) -> BTreeSet<usize> {
+        self.ranked.into_iter().map(|(.., number)| number).collect()
     }
 }
 

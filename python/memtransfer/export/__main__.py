@@ -42,14 +42,11 @@ def _select(args: argparse.Namespace) -> Selected:
     recording = Recording(args.run, args.frame_size)
     for notice in recording.notices:
         print(f"warning: {notice}", file=sys.stderr)
-    trajectories = []
-    if not args.only_demonstrations:
-        trajectories += recording.episodes()[: args.limit]
-    if args.demonstrations or args.only_demonstrations:
-        trajectories += recording.demonstrations()[: args.limit]
-    if not trajectories:
+    only = args.only_demonstrations
+    selected = Selected(recording, not only, only or args.demonstrations, args.limit)
+    if next(selected.trajectories(), None) is None:
         raise ExportError(f"{args.run} has no finished episode; `memtransfer run` goes on with it")
-    return Selected(recording, trajectories)
+    return selected
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -6,9 +6,10 @@ import importlib
 import os
 import shutil
 import sys
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +25,26 @@ class ExportError(Exception):
 
 @dataclass(frozen=True)
 class Selected:
-    """The trajectories to export."""
+    """The trajectories to export, which are read one at a time."""
 
     recording: Recording
-    trajectories: list[Trajectory]
+    episodes: bool
+    """Whether episodes are among them."""
+    demonstrations: bool
+    """Whether demonstrations are."""
+    limit: int | None = None
+    """The most episodes, and the most demonstrations; `None` for all."""
+
+    def trajectories(self) -> Iterator[Trajectory]:
+        """Reads them: the first episodes, then the first demonstrations."""
+        if self.episodes:
+            yield from islice(self.recording.iter_episodes(), self.limit)
+        if self.demonstrations:
+            yield from self.recording.demonstrations()[: self.limit]
+
+    def playable(self) -> Iterator[Trajectory]:
+        """Reads those in which at least one answer could be read as an action."""
+        return (trajectory for trajectory in self.trajectories() if trajectory.decided)
 
     def about(self) -> str:
         """Returns what the trajectories are, for the description of a data set."""
@@ -39,12 +56,19 @@ class Selected:
         frames = self.recording.manifest["settings"]["frames"]
         return "" if frames == "rendered" else f" A control: frames {frames}."
 
-    def playable(self) -> list[Trajectory]:
-        """Those with at least one action."""
-        playable = [trajectory for trajectory in self.trajectories if trajectory.decided]
-        if not playable:
-            raise ExportError("no answer of these episodes could be read as an action: there is nothing to export")
-        return playable
+
+def left_out(playable: int, unreadable: int) -> str:
+    """Says how many episodes are left out because none of their answers could be read as an action, in words to append.
+
+    Raises:
+        ExportError: All are.
+    """
+    if playable == 0:
+        raise ExportError("no answer of these episodes could be read as an action: there is nothing to export")
+    if unreadable == 0:
+        return ""
+    episodes = "1 episode is" if unreadable == 1 else f"{unreadable} episodes are"
+    return f"\n{episodes} left out: none of the answers could be read as an action"
 
 
 def library(module: str, extra: str) -> Any:
@@ -67,14 +91,29 @@ def refuse_existing(path: Path) -> None:
 def new(path: Path) -> Generator[Path, None, None]:
     """A temporary path beside `path`, which gets its name when the block has ended without an error."""
     refuse_existing(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".partial")
-    remove(partial)
-    try:
-        yield partial
-        os.replace(partial, path)
-    finally:
+    with parents_of(path):
+        partial = path.with_name(path.name + ".partial")
         remove(partial)
+        try:
+            yield partial
+            os.replace(partial, path)
+        finally:
+            remove(partial)
+
+
+@contextmanager
+def parents_of(path: Path) -> Generator[list[Path], None, None]:
+    """Makes the folders above `path`, of which it gives those that were missing. It removes these when the block ends with an error,
+    if they are empty."""
+    missing = [folder for folder in path.parents if not folder.exists()]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        yield missing
+    except BaseException:
+        for folder in missing:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
 
 
 def remove(path: Path) -> None:
@@ -85,12 +124,12 @@ def remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def progress(what: str, trajectories: list[Trajectory]) -> Iterator[Trajectory]:
+def progress(what: str, trajectories: Iterable[Trajectory]) -> Iterator[Trajectory]:
     """The trajectories, counted on a terminal."""
     is_seen = sys.stderr.isatty()
     for number, trajectory in enumerate(trajectories, 1):
         if is_seen:
-            print(f"\r{what}: trajectory {number} of {len(trajectories)}", end="", file=sys.stderr)
+            print(f"\r{what}: trajectory {number}", end="", file=sys.stderr)
         yield trajectory
     if is_seen:
         print(file=sys.stderr)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -45,29 +44,26 @@ def write(selected: Selected, folder: Path) -> str:
     """Writes the tables and their description into a new folder. Returns what was written, in words."""
     refuse_existing(folder)
     mlc = library("mlcroissant", "croissant")
-    trajectories = selected.trajectories
-    steps = 0
+    trajectories = steps = 0
     with new(folder) as partial:
         partial.mkdir()
-        _write_table(partial / "trajectories.csv", _TRAJECTORIES, map(_summary, trajectories))
-        with (partial / "steps.csv").open("w", newline="") as file:
-            table = csv.writer(file)
-            table.writerow(_STEPS)
-            for trajectory in progress("Croissant", trajectories):
+        with (
+            (partial / "trajectories.csv").open("w", newline="") as summaries,
+            (partial / "steps.csv").open("w", newline="") as moments,
+        ):
+            summary_table, steps_table = csv.writer(summaries), csv.writer(moments)
+            summary_table.writerow(_TRAJECTORIES)
+            steps_table.writerow(_STEPS)
+            for trajectory in progress("Croissant", selected.trajectories()):
                 rows = _rows(trajectory)
-                table.writerows(rows)
+                summary_table.writerow(_summary(trajectory))
+                steps_table.writerows(rows)
+                trajectories += 1
                 steps += len(rows)
         description = _describe(mlc, selected, partial).to_json()
         text = json.dumps(description, indent=2, ensure_ascii=False, default=str)
         (partial / "croissant.json").write_text(text + "\n", encoding="utf-8")
-    return f"{folder}/croissant.json: {len(trajectories)} trajectories, {steps} rows of steps"
-
-
-def _write_table(path: Path, columns: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
-    with path.open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(columns)
-        table.writerows(rows)
+    return f"{folder}/croissant.json: {trajectories} trajectories, {steps} rows of steps"
 
 
 def _summary(trajectory: Trajectory) -> list[Any]:
@@ -125,15 +121,18 @@ def _describe(mlc: Any, selected: Selected, folder: Path) -> Any:
         )
 
     def file(name: str, what: str) -> Any:
-        content = (folder / name).read_bytes()
+        digest = hashlib.sha256()
+        with (folder / name).open("rb") as content:
+            while part := content.read(1 << 20):
+                digest.update(part)
         return mlc.FileObject(
             id=name,
             name=name,
             description=what,
             content_url=name,
-            content_size=f"{len(content)} B",
+            content_size=f"{(folder / name).stat().st_size} B",
             encoding_formats=["text/csv"],
-            sha256=hashlib.sha256(content).hexdigest(),
+            sha256=digest.hexdigest(),
         )
 
     manifest = selected.recording.manifest

@@ -7,7 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from memtransfer.export.common import STEPS_PER_SECOND, Selected, library, new, progress, refuse_existing
+from memtransfer.export.common import (
+    STEPS_PER_SECOND,
+    Selected,
+    left_out,
+    library,
+    new,
+    progress,
+    refuse_existing,
+)
 
 
 def features(width: int, height: int) -> dict[str, dict[str, object]]:
@@ -42,9 +50,9 @@ def write(selected: Selected, folder: Path) -> str:
     av.logging.set_libav_level(av.logging.ERROR)
     library("datasets", "lerobot").disable_progress_bars()
     lerobot = library("lerobot.datasets.lerobot_dataset", "lerobot")
-    recording, trajectories = selected.recording, selected.playable()
+    recording = selected.recording
     frames_shown = recording.manifest["settings"]["frames"]
-    frames = 0
+    episodes = unreadable = frames = 0
     with new(folder) as partial:
         dataset = lerobot.LeRobotDataset.create(
             repo_id=f"memtransfer/{folder.name}",
@@ -53,16 +61,20 @@ def write(selected: Selected, folder: Path) -> str:
             features=features(*recording.frame_size),
             robot_type="memtransfer" + (f", frames {frames_shown}" if selected.control else ""),
         )
-        for trajectory in progress("LeRobot", trajectories):
+        for trajectory in progress("LeRobot", selected.trajectories()):
+            if not trajectory.decided:
+                unreadable += 1
+                continue
+            episodes += 1
             views = recording.views(trajectory)
             last = trajectory.decided[-1]
-            for step in trajectory.decided:
+            for step, shown in zip(trajectory.decided, trajectory.observed):
                 is_success = trajectory.success and step == last
                 dataset.add_frame(
                     {
-                        "observation.images.camera": views[step],
-                        "observation.state": trajectory.poses[step].astype(np.float32),
-                        "observation.feedback": np.array([trajectory.feedback[step]], np.int64),
+                        "observation.images.camera": views[shown],
+                        "observation.state": trajectory.poses[shown].astype(np.float32),
+                        "observation.feedback": np.array([trajectory.feedback[shown]], np.int64),
                         "action": np.array([trajectory.actions[step]], np.int64),
                         "next.reward": np.array([is_success], np.float32),
                         "next.done": np.array([step == last]),
@@ -74,7 +86,8 @@ def write(selected: Selected, folder: Path) -> str:
                 )
                 frames += 1
             dataset.save_episode()
+        more = left_out(episodes, unreadable)
         dataset.finalize()
         # The format itself has no place for a description.
         (partial / "README.md").write_text(selected.about() + "\n", encoding="utf-8")
-    return f"{folder}: {len(trajectories)} episodes, {frames} frames"
+    return f"{folder}: {episodes} episodes, {frames} frames{more}"

@@ -27,18 +27,20 @@ def write(selected: Selected, file: Path) -> str:
     rr = library("rerun", "rerun")
     blueprint = library("rerun.blueprint", "rerun")
     pillow = library("PIL.Image", "rerun")
-    trajectories = selected.trajectories
+    tabs = []
+    steps = 0
     with new(file) as partial:
-        tabs = [_tab(rr, blueprint, trajectory) for trajectory in trajectories]
         with rr.RecordingStream("memtransfer", recording_id=file.stem, send_properties=False) as stream:
             # Steps are the only time line: when the file was written is none.
             stream.set_log_time_enabled(False)
             stream.set_log_tick_enabled(False)
-            stream.save(partial, blueprint.Blueprint(blueprint.Tabs(*tabs), collapse_panels=True))
-            for trajectory in progress("Rerun", trajectories):
+            stream.save(partial)
+            for trajectory in progress("Rerun", selected.trajectories()):
                 _log(rr, pillow, stream, selected, trajectory)
-    steps = sum(len(trajectory.actions) for trajectory in trajectories)
-    return f"{file}: {len(trajectories)} trajectories, {steps} steps"
+                tabs.append(_tab(rr, blueprint, trajectory))
+                steps += len(trajectory.actions)
+            stream.send_blueprint(blueprint.Blueprint(blueprint.Tabs(*tabs), collapse_panels=True))
+    return f"{file}: {len(tabs)} trajectories, {steps} steps"
 
 
 def entity(rr: Any, trajectory: Trajectory, *parts: str) -> str:

@@ -12,6 +12,8 @@ use serde_json::{Value, json};
 use world_client::frames::{ViewFormat, ViewKey, ViewRenderer, view_arguments};
 use world_client::{EpisodeTimeline, RecordedRun, WorldProgram};
 
+use crate::python::package;
+
 /// A small run of `policy` with `memory` in the folder `out`, of at most `steps` steps an episode.
 fn small(bench: &Bench, out: &str, policy: &str, memory: &str, steps: &str) {
     let mut args = vec!["run", "--suite", "rq2", "--limit", "2", "--runs", "1"];
@@ -45,6 +47,7 @@ fn every_format_is_read_by_the_programs_it_is_for() {
     export(&bench, "hugging-face", "x/hub", &["--dataset", "team/memtransfer"]).expect(0);
     let mut python = Command::new(needs::exports_python());
     python.arg(repository("tests/python/read_exports.py")).args([bench.out("r"), bench.out("x")]);
+    python.env("PYTHONPATH", package());
     Ended::run(&mut python).expect(0);
 
     // The same log gives the same files.

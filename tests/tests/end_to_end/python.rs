@@ -20,7 +20,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
 /// The package's folder, with the extension that `cargo xtask test` builds.
-fn package() -> PathBuf {
+pub(crate) fn package() -> PathBuf {
     let package = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../python")
         .canonicalize()

@@ -102,6 +102,7 @@ fn stacked(run: &AccessRun) -> Result<ReportFigure> {
     let rows = run.memories().into_iter().map(|memory| {
         let length = |part| find(run, memory, StepClass::Later, part).map(value);
         StackRow {
+            heading: None,
             label: memory.to_string(),
             lengths: parts.iter().map(|part| length(*part)).collect(),
         }

@@ -237,6 +237,12 @@ fn export_and_open(python: &Path, flags: &[(&str, &str)], opener: &str) {
             .stderr(Stdio::piped());
         Ended::of(command.spawn().expect("Python starts"))
     };
+    if flags.iter().any(|(flag, _)| *flag == "--minari") {
+        // A bad name is refused before anything is written.
+        let named = call(&["-m", "memtransfer.export", &run, "--minari", "test"]).expect(2);
+        assert!(named.stderr.contains("with a version"), "{}", named.stderr);
+        assert!(!bench.out("minari").exists());
+    }
     let mut export = vec!["-m", "memtransfer.export", &run, "--demonstrations"];
     export.extend(flags.iter().flat_map(|(flag, place)| [flag, place]));
     call(&export).expect(0);
