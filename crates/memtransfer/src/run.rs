@@ -85,11 +85,12 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
         return Ok(Exit::Complete);
     }
     let folder = args.discard.then(|| resolved.settings.out.clone());
-    let outcome = execute_settings(args, resolved);
+    let exit = execute_settings(args, resolved)?;
+    // Not after an error: the folder may be that of another run, or no run's.
     if let Some(folder) = folder {
         parent.remove_if_ended(&folder)?;
     }
-    outcome
+    Ok(exit)
 }
 
 fn execute_settings(args: RunArgs, resolved: Resolved) -> Result<Exit> {

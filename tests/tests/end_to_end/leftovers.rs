@@ -145,7 +145,7 @@ fn a_run_stops_with_the_process_that_it_is_told_to_die_with() {
         assert_eq!(bench.leftovers(), Vec::<String>::new());
         assert_eq!(bench.out(out).exists(), out == "kept");
     }
-    // Its end is no reason to remove the run.
+    // The end of the run is no reason to remove it.
     let (mut parent, child) = begin("ended", &["--discard"]);
     wait_for_episodes(&bench.out("ended"), 1);
     terminate(child.id());
