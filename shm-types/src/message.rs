@@ -145,7 +145,7 @@ macro_rules! message_table {
         case: u32,
         /// World variant: 0 is the unchanged world; in `1 + case index` that case's passage is closed; after these come the
         /// states of the run's streams. Where the world differs from the demonstrations beside that, and the case book offers
-        /// it: `mismatch << 24 | case index << 1 | closed`, with `closed` 1 if the case's passage is, and `mismatch` 1 for other
+        /// it: `(mismatch << 24) + (case index << 1) + closed`, with `closed` 1 if the case's passage is, and `mismatch` 1 for other
         /// light, 2 without labels, 3 for another height of the camera, 4 for another field of view, 6 for other stock.
         variant: u32,
         /// Steps after which the episode ends.
