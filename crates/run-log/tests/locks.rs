@@ -1,6 +1,8 @@
 //! The lock of a run folder on other file systems. Apart from other tests, because a process that a test starts has the locks of the others
 //! for a moment.
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
 use std::fs::{self, File};
 
 use rigs::records::manifest;
