@@ -236,7 +236,7 @@ def test_what_a_policy_raises_is_the_cause(tmp_path: Path, capsys: pytest.Captur
     assert isinstance(caught.value.__cause__, PolicyError)
     with pytest.raises(RunError, match="^ValueError: no lane$"):
         evaluate(policy=Resets(), memory="working", out=tmp_path / "resets", **SHORT)
-    # Nobody has interrupted it.
+    # These runs failed: nothing that is printed may say that they were interrupted.
     printed = capsys.readouterr()
     assert "SIGINT" not in printed.err + printed.out and "WARN" not in printed.err + printed.out
 

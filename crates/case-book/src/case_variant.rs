@@ -57,12 +57,12 @@ mod tests {
         let mut numbers = Vec::new();
         for &mismatch in Mismatch::ALL {
             for (case, is_blocked) in [(0, false), (0, true), (77, false), (77, true)] {
-                let of = CaseVariant { case, is_blocked, mismatch };
+                let variant = CaseVariant { case, is_blocked, mismatch };
                 let without = if is_blocked { 1 + case } else { 0 };
-                assert_eq!(CaseVariant::without_mismatch(of.number()), without);
-                let found = CaseVariant::with_mismatch(of.number());
-                assert_eq!(found, mismatch.changes_world().then_some(of));
-                numbers.extend(found.map(CaseVariant::number));
+                assert_eq!(CaseVariant::without_mismatch(variant.number()), without);
+                let read_back = CaseVariant::with_mismatch(variant.number());
+                assert_eq!(read_back, mismatch.changes_world().then_some(variant));
+                numbers.extend(read_back.map(CaseVariant::number));
             }
         }
         let count = numbers.len();

@@ -185,9 +185,9 @@ mod tests {
     /// The loops of an episode whose situations are letters, as `from-to`.
     fn looped(situations: &str) -> String {
         let letters: Vec<char> = situations.chars().collect();
-        let found = loops(&letters);
-        let found = found.iter().map(|LoopFact { from, to }| format!("{from}-{to}"));
-        found.collect::<Vec<_>>().join(" ")
+        let loops = loops(&letters);
+        let ranges = loops.iter().map(|LoopFact { from, to }| format!("{from}-{to}"));
+        ranges.collect::<Vec<_>>().join(" ")
     }
 
     #[test]

@@ -398,11 +398,11 @@ mod tests {
     fn arms_that_hold_the_same_are_one_condition() {
         let in_arm = |condition: &str, arm: Arm| {
             let condition: Condition = Condition::logged(condition).unwrap();
-            let found = condition.with_arm(arm);
-            assert_eq!(Condition::logged(&found.to_string()), Ok(found), "it is its normal form");
-            assert_eq!(found.with_arm(found.arm), found);
-            let held = found.control_set().map_or("as named".to_owned(), |set| set.to_string());
-            format!("{found}: {held}")
+            let normal = condition.with_arm(arm);
+            assert_eq!(Condition::logged(&normal.to_string()), Ok(normal), "it is its normal form");
+            assert_eq!(normal.with_arm(normal.arm), normal);
+            let held = normal.control_set().map_or("as named".to_owned(), |set| set.to_string());
+            format!("{normal}: {held}")
         };
         for (condition, arm, expected) in [
             (
