@@ -1,10 +1,10 @@
 //! The process groups of this program's children.
 //!
-//! Each child leads a group of its own. The kernel does not end a group with the program that started it, so a shell does
-//! ([`Watchdog`]); and [`kill_all`] ends the groups of a program that is about to end without calling its destructors.
+//! Each child has a group of its own. The kernel does not end a group with the program that started it, so a shell that leads
+//! the group does ([`Watchdog`]); and [`kill_all`] ends the groups of a program that is about to end without calling its
+//! destructors.
 
-use std::collections::BTreeSet;
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,17 +17,17 @@ use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, wa
 /// Time between two looks whether a command has ended or is to be stopped.
 const TIME_BETWEEN_LOOKS: Duration = Duration::from_millis(10);
 
-/// Reads the leader of a group, then waits until this program closes the pipe or ends.
-const WATCHDOG: &str = r#"read -r group && { read -r _; kill -s KILL -- "-$group"; }"#;
+/// Waits until this program closes the pipe or ends, then kills its own group. A member may send the group other signals.
+const WATCHDOG: &str = "trap '' HUP INT QUIT TERM USR1 USR2; read -r _; kill -s KILL 0";
 
-/// The leaders of the groups that were started and not waited for. No other process can have their ids.
-static LEADERS: Mutex<BTreeSet<i32>> = Mutex::new(BTreeSet::new());
+/// The groups that were started and not waited for, and their children. No other group or process can have their ids.
+static GROUPS: Mutex<Vec<(Pid, Pid)>> = Mutex::new(Vec::new());
 
-fn leaders() -> MutexGuard<'static, BTreeSet<i32>> {
-    LEADERS.lock().unwrap_or_else(PoisonError::into_inner)
+fn groups() -> MutexGuard<'static, Vec<(Pid, Pid)>> {
+    GROUPS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A child that leads a process group.
+/// A child that has a process group of its own.
 #[derive(Debug)]
 pub(crate) struct Group {
     child: Child,
@@ -42,10 +42,7 @@ impl Group {
     /// # Errors
     /// When the system refuses.
     pub(crate) fn start(command: &mut Command) -> io::Result<Self> {
-        let mut leaders = leaders();
-        let child = command.process_group(0).spawn()?;
-        leaders.insert(Pid::from_child(&child).as_raw_pid());
-        Ok(Self { child, watchdog: None, status: None })
+        Self::start_in(command, None)
     }
 
     /// As [`Self::start`]; the group is also killed when this program ends in any way, `kill -9` included.
@@ -53,25 +50,33 @@ impl Group {
     /// # Errors
     /// As [`Self::start`].
     pub(crate) fn start_watched(command: &mut Command) -> io::Result<Self> {
-        // First, so that there is no time without one.
-        let mut watchdog = Watchdog::start()?;
-        let mut group = Self::start(command)?;
-        watchdog.watch(group.id())?;
-        group.watchdog = Some(watchdog);
+        let watchdog = Watchdog::start()?;
+        Self::start_in(command, Some(watchdog))
+    }
+
+    fn start_in(command: &mut Command, watchdog: Option<Watchdog>) -> io::Result<Self> {
+        let mut groups = groups();
+        // The child is in the watchdog's group from its first instruction on.
+        let leader = watchdog.as_ref().map_or(0, |watchdog| watchdog.id().as_raw_pid());
+        let child = command.process_group(leader).spawn()?;
+        let group = Self { child, watchdog, status: None };
+        groups.push((group.id(), Pid::from_child(&group.child)));
         Ok(group)
     }
 
+    /// Its id: the process id of its leader.
     fn id(&self) -> Pid {
-        Pid::from_child(&self.child)
+        self.watchdog.as_ref().map_or_else(|| Pid::from_child(&self.child), Watchdog::id)
     }
 
-    /// Whether its leader runs. Does not reap it, so that its process id stays its own.
+    /// Whether the child runs. Does not reap it, so that its process id stays its own.
     pub(crate) fn is_alive(&self) -> bool {
         let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
-        self.status.is_none() && matches!(waitid(WaitId::Pid(self.id()), options), Ok(None))
+        let child = WaitId::Pid(Pid::from_child(&self.child));
+        self.status.is_none() && matches!(waitid(child, options), Ok(None))
     }
 
-    /// Kills what still runs of it, and waits for its leader. Later calls return the same status.
+    /// Kills what still runs of it, and waits for the child. Later calls return the same status.
     ///
     /// # Errors
     /// When the system cannot wait for it.
@@ -79,12 +84,13 @@ impl Group {
         if let Some(status) = self.status {
             return Ok(status);
         }
-        let mut leaders = leaders();
+        let mut groups = groups();
+        let id = self.id();
         // Before the wait: until then no other group can have this id. The group may be empty.
-        let _ = kill_process_group(self.id(), Signal::KILL);
-        self.watchdog = None;
+        let _ = kill_process_group(id, Signal::KILL);
         let status = self.child.wait()?;
-        leaders.remove(&self.id().as_raw_pid());
+        self.watchdog = None;
+        groups.retain(|&(group, _)| group != id);
         Ok(*self.status.insert(status))
     }
 }
@@ -97,7 +103,7 @@ impl Drop for Group {
     }
 }
 
-/// A shell that kills a process group when this program ends. Dropping it ends the shell.
+/// A shell that leads a process group and kills it when this program ends. Dropping it ends the shell.
 #[derive(Debug)]
 struct Watchdog(Child);
 
@@ -114,9 +120,8 @@ impl Watchdog {
             .map(Self)
     }
 
-    fn watch(&mut self, group: Pid) -> io::Result<()> {
-        let pipe = self.0.stdin.as_mut().ok_or(io::ErrorKind::BrokenPipe)?;
-        pipe.write_all(format!("{}\n", group.as_raw_pid()).as_bytes())
+    fn id(&self) -> Pid {
+        Pid::from_child(&self.0)
     }
 }
 
@@ -132,15 +137,14 @@ impl Drop for Watchdog {
 /// Kills all children and what they have started, and waits until they have ended. No further one can be started: call this when
 /// the program is about to end.
 pub fn kill_all() {
-    let leaders = leaders();
-    let pids: Vec<Pid> = leaders.iter().filter_map(|&pid| Pid::from_raw(pid)).collect();
-    for &pid in &pids {
-        let _ = kill_process_group(pid, Signal::KILL);
+    let groups = groups();
+    for &(group, _) in groups.iter() {
+        let _ = kill_process_group(group, Signal::KILL);
     }
-    for &pid in &pids {
-        let _ = waitid(WaitId::Pid(pid), WaitIdOptions::EXITED | WaitIdOptions::NOWAIT);
+    for &(_, child) in groups.iter() {
+        let _ = waitid(WaitId::Pid(child), WaitIdOptions::EXITED | WaitIdOptions::NOWAIT);
     }
-    std::mem::forget(leaders);
+    std::mem::forget(groups);
 }
 
 /// Runs `command` and returns what it has printed. `None` if it was killed because `stop` was set. It does not outlive this
@@ -197,6 +201,8 @@ mod tests {
     use std::fs;
     use std::path::Path;
 
+    use rustix::process::getpgid;
+
     use super::*;
 
     /// Waits for what others do in their own time.
@@ -251,6 +257,7 @@ mod tests {
         let mut group = Group::start_watched(&mut with_child(&file)).unwrap();
         wait_until(|| file.exists());
         assert!(group.is_alive());
+        assert_eq!(getpgid(Some(Pid::from_child(&group.child))).unwrap(), group.id());
         drop(group.watchdog.as_mut().unwrap().0.stdin.take());
         let pid = fs::read_to_string(&file).unwrap();
         wait_until(|| !group.is_alive() && !runs(pid.trim()));
