@@ -129,7 +129,7 @@ impl RunPlan {
             ));
         }
         if episodes.is_empty() {
-            bail!("no case is left: --limit is 0, or --cases selects none");
+            bail!("no episode is left");
         }
         let priced =
             settings.model.as_ref().and_then(|model| Some((model, model.prices.as_ref()?)));

@@ -55,6 +55,7 @@ impl SelectedCases {
         let every = write(&BookRequest { assets: assets.clone(), ..BookRequest::default() })?;
         let book = &every.cases.book;
         let (ids, cases) = (book.ids(), cases_of_run(&book.world, &book.cases, settings)?);
+        ensure!(!cases.is_empty(), "no case is left: --limit is 0, or --cases selects none");
         check_mismatches(settings, &book.world)?;
         let demonstrations = demonstrations(settings)?;
         check_banks(&demonstrations, every.demonstrations.book.largest_bank())?;

@@ -15,7 +15,7 @@ from __future__ import annotations
 import operator
 import os
 import string
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import product
 from typing import Any, NamedTuple, SupportsIndex, TypeAlias
@@ -99,7 +99,10 @@ def _settings(given: Mapping[str, Any]) -> Settings:
     for name in given:
         if name not in known:
             raise TypeError(f"there is no setting {name!r}{did_you_mean(name, [*known, *_ARGUMENTS])}")
-    return Settings(**given)
+    settings = Settings(**given)
+    for name in ("plates", "labels", "anti_aliasing"):
+        _check_flag(name, getattr(settings, name))
+    return settings
 
 
 _ARGUMENTS = ("render_mode", "copy", "autoreset_mode", "num_envs")
@@ -110,19 +113,18 @@ class _Episodes:
     """Episodes in lanes, one for each environment."""
 
     def __init__(self, lanes: int, copy: bool, settings: Settings) -> None:
-        if lanes < 1 or settings.max_steps < 1:
-            raise ValueError(f"num_envs ({lanes}) and max_steps ({settings.max_steps}) must be at least 1")
+        _check_flag("copy", copy)
         width, height = sides(settings.frame_size)
-        seed = _integer("appearance_seed", settings.appearance_seed, 2**64)
+        seed = _integer("appearance_seed", settings.appearance_seed, (0, 2**64 - 1))
         look = (settings.plates, settings.labels, seed)
         self.lanes = Lanes(lanes, (width, height), look, settings.anti_aliasing, settings.assets)
-        cases = _several(settings.case) if settings.case is not None else self.lanes.cases
+        cases = _several("case", settings.case) if settings.case is not None else self.lanes.cases
         if not cases:
             raise ValueError("case is empty: leave it out for all cases")
         unknown = sorted(set(cases) - set(self.lanes.cases))
         if unknown:
             raise ValueError(f"there is no case {unknown[0]!r}; `memtransfer ls cases` lists the cases")
-        starts, routes = _several(settings.start), _several(settings.route)
+        starts, routes = _several("start", settings.start), _several("route", settings.route)
         pairs = [pair for pair in product(starts, routes) if pair in _REFERENCES]
         known_starts, known_routes = ({*names} for names in zip(*_REFERENCES))
         if not pairs or {*starts} - known_starts or {*routes} - known_routes:
@@ -132,7 +134,7 @@ class _Episodes:
             )
         self.choices = [_Choice(case, start, route) for case, (start, route) in product(cases, pairs)]
         self.copy = copy
-        self.max_steps = settings.max_steps
+        self.max_steps = _integer("max_steps", settings.max_steps, (1, 2**32 - 1))
         self.pixels: Pixels = np.asarray(self.lanes)
         self.poses = np.zeros((lanes, 3), np.int32)
         self.feedback = np.zeros(lanes, np.int64)
@@ -176,12 +178,16 @@ class _Episodes:
         self.feedback[lane] = Feedback.START
         self.steps[lane] = 0
 
-    def act(self, lane: int, action: Any) -> tuple[bool, bool, dict[str, Any]]:
-        """Executes an action. Returns whether the task is complete, whether the episode is truncated, and the info."""
-        steps = self.steps[lane]
-        if steps is None:
+    def check(self, lane: int, action: Any) -> int:
+        """Returns the number of an action that can be executed in a lane. Nothing has happened where it raises."""
+        if self.steps[lane] is None:
             raise ResetNeeded("the episode has ended or has not begun: call reset()")
-        taken = _integer("action", action, len(Action))
+        return _integer("action", action, (0, len(Action) - 1))
+
+    def act(self, lane: int, taken: int) -> tuple[bool, bool, dict[str, Any]]:
+        """Executes an action, which must be checked. Returns whether the task is complete, whether the episode is truncated, and the
+        info."""
+        steps = self.steps[lane] or 0
         self.poses[lane], self.feedback[lane], success = self.lanes.act(lane, taken)
         truncated = not success and steps + 1 >= self.max_steps
         self.steps[lane] = None if success or truncated else steps + 1
@@ -243,7 +249,7 @@ class MemTransferEnv(_Open, gymnasium.Env[Observation, SupportsIndex], EzPickle)
 
     def step(self, action: SupportsIndex) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Executes an action: a `memtransfer.Action` or its number."""
-        success, truncated, info = self._episodes.act(0, action)
+        success, truncated, info = self._episodes.act(0, self._episodes.check(0, action))
         return self._observe(), float(success), success, truncated, info
 
     def render(self) -> Pixels | None:
@@ -289,6 +295,7 @@ class MemTransferVectorEnv(_Open, VectorEnv[Observation, Actions, NDArray[Any]],
         arguments = {"render_mode": render_mode, "copy": copy, "autoreset_mode": autoreset_mode}
         EzPickle.__init__(self, num_envs, **arguments, **settings)
         self._open = None
+        num_envs = _integer("num_envs", num_envs, (1, 2**16))
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {
             "render_modes": ["rgb_array"],
@@ -325,10 +332,13 @@ class MemTransferVectorEnv(_Open, VectorEnv[Observation, Actions, NDArray[Any]],
         chosen = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, np.bool_)))
         if chosen.shape != (self.num_envs,) or chosen.dtype != np.bool_:
             raise ValueError(f"reset_mask must be an array of {self.num_envs} booleans")
+        lanes = np.flatnonzero(chosen).tolist()
+        seeded = {} if seeds is None else {lane: seeds[lane] for lane in lanes if seeds[lane] is not None}
+        # All before any is used: a seed may be refused.
+        for lane, random in [(lane, seeding.np_random(seed)[0]) for lane, seed in seeded.items()]:
+            self._randoms[lane] = random
         infos: dict[str, Any] = {}
-        for lane in np.flatnonzero(chosen).tolist():
-            if seeds is not None and seeds[lane] is not None:
-                self._randoms[lane], _ = seeding.np_random(seeds[lane])
+        for lane in lanes:
             infos = self._begin(lane, infos, options)
         return self._observe(), infos
 
@@ -338,11 +348,16 @@ class MemTransferVectorEnv(_Open, VectorEnv[Observation, Actions, NDArray[Any]],
         """Executes an action in every environment."""
         if len(actions) != self.num_envs:
             raise ValueError(f"there are {len(actions)} actions for {self.num_envs} environments")
+        begins = self._ended & (self.autoreset_mode is AutoresetMode.NEXT_STEP)
+        # All before any is executed.
+        taken = [
+            None if begins[lane] else self._episodes.check(lane, action) for lane, action in enumerate(actions)
+        ]
         terminations, truncations = (np.zeros(self.num_envs, np.bool_) for _ in range(2))
         infos: dict[str, Any] = {}
         final_infos: dict[int, dict[str, Any]] = {}
-        for lane, action in enumerate(actions):
-            if self._ended[lane] and self.autoreset_mode is AutoresetMode.NEXT_STEP:
+        for lane, action in enumerate(taken):
+            if action is None:
                 infos = self._begin(lane, infos)
                 continue
             terminations[lane], truncations[lane], info = self._episodes.act(lane, action)
@@ -426,19 +441,29 @@ register(
 )
 
 
-def _several(values: str | Sequence[str]) -> Sequence[str]:
-    return [values] if isinstance(values, str) else values
+def _several(name: str, values: Any) -> Sequence[str]:
+    """The values of a setting that takes one text or several."""
+    several = list(values) if isinstance(values, Iterable) and not isinstance(values, str) else [values]
+    if not all(isinstance(value, str) for value in several):
+        raise TypeError(f"{name} must be a str or several, not {values!r}")
+    return several
 
 
-def _integer(name: str, value: Any, end: int) -> int:
-    """`value` as an integer, which must be at least 0 and less than `end`."""
+def _integer(name: str, value: Any, bounds: tuple[int, int]) -> int:
+    """`value` as an integer within `bounds`, which are allowed, too."""
     try:
         integer = operator.index(value)
     except TypeError as error:
         raise TypeError(f"{name} must be an integer, not {value!r}") from error
-    if not 0 <= integer < end:
-        raise ValueError(f"{name} must be at least 0 and at most {end - 1}, not {integer}")
+    least, most = bounds
+    if not least <= integer <= most:
+        raise ValueError(f"{name} must be at least {least} and at most {most}, not {integer}")
     return integer
+
+
+def _check_flag(name: str, value: Any) -> None:
+    if not isinstance(value, bool):
+        raise TypeError(f"{name} must be a bool, not {value!r}")
 
 
 def _check_render_mode(mode: str | None, metadata: dict[str, Any]) -> None:

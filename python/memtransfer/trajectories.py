@@ -166,6 +166,8 @@ def sides(frame_size: int | Iterable[int]) -> tuple[int, int]:
         width, height = map(operator.index, both)
     except (TypeError, ValueError) as error:
         raise TypeError(f"frame_size must be an integer, or width and height, not {frame_size!r}") from error
+    if width < 1 or height < 1:
+        raise ValueError(f"frame_size must be positive, not {frame_size!r}")
     return width, height
 
 

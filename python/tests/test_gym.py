@@ -198,7 +198,15 @@ def test_appearance_changes_pixels_only() -> None:
         ({"frame_size": 64.0}, "frame_size must be an integer, or width and height, not 64.0"),
         ({"frame_size": (64,)}, "frame_size must be an integer, or width and height, not (64,)"),
         ({"frame_size": 100}, "the width must be a multiple of 64"),
-        ({"max_steps": 0}, "must be at least 1"),
+        ({"frame_size": -64}, "frame_size must be positive, not -64"),
+        ({"max_steps": 0}, "max_steps must be at least 1"),
+        ({"max_steps": "5"}, "max_steps must be an integer, not '5'"),
+        ({"max_steps": 2.5}, "max_steps must be an integer, not 2.5"),
+        ({"plates": "off"}, "plates must be a bool, not 'off'"),
+        ({"labels": 2}, "labels must be a bool, not 2"),
+        ({"copy": "no"}, "copy must be a bool, not 'no'"),
+        ({"case": 3}, "case must be a str or several, not 3"),
+        ({"start": None}, "start must be a str or several, not None"),
         ({"case": []}, "case is empty: leave it out for all cases"),
         ({"appearance_seed": -1}, "appearance_seed must be at least 0"),
         ({"assets": "nowhere"}, "nowhere"),
@@ -300,6 +308,19 @@ def test_an_invalid_action_is_refused() -> None:
     envs.reset()
     with pytest.raises(ValueError, match="there are 2 actions for 3 environments"):
         envs.step(np.array([Action.FORWARD, Action.FORWARD]))
+
+
+def test_a_refused_call_has_changed_no_environment() -> None:
+    envs, other = (MemTransferVectorEnv(3, **SMALL) for _ in range(2))
+    envs.reset(seed=1)
+    other.reset(seed=1)
+    for actions in ([0, 2, 9], [0, 2, 1.5]):
+        with pytest.raises((TypeError, ValueError), match="action must be"):
+            envs.step(actions)
+    with pytest.raises(gymnasium.error.Error, match="greater or equal to zero"):
+        envs.reset(seed=[7, -1, 3])
+    assert data_equivalence(envs.step([2, 2, 2])[0], other.step([2, 2, 2])[0])
+    assert data_equivalence(envs.reset()[0], other.reset()[0])
 
 
 def test_an_unknown_option_of_reset_is_refused() -> None:

@@ -112,6 +112,7 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
         ("run --cases t03-7", "did you mean `t03-07`?"),
         ("run --cases 1-200", "unknown case `1-200`: did you mean `1-100`?"),
         ("run --limit 0", "no case is left"),
+        ("run --suite stream --limit 0", "no case is left"),
         ("run --lanes 0", "--lanes: 0 is not a whole number from 1 to 1024"),
         ("run --frame-size 100", "--frame-size: 100 is not a multiple of 64 from 64 to 4096"),
         ("run --starts original --routes blocked", "a blocked route needs the new start"),

@@ -1,6 +1,7 @@
 //! An external memory in one generation: banks, episodes, queries, answers.
 
 use std::collections::{HashMap, VecDeque};
+use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -10,7 +11,8 @@ use domain::State;
 use shm_types::banks::BankStep;
 use shm_types::message::{
     EpisodeOutcome, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore,
-    ExternalStored, Learning, NOT_MEASURED, RequestId, Role, read_action, read_flag, read_text,
+    ExternalStored, FrameId, Learning, NOT_MEASURED, RequestId, Role, read_action, read_flag,
+    read_text,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
@@ -122,8 +124,11 @@ impl<'s> MemorySession<'s> {
         }
         let id = bank.id();
         let started_ns = monotonic_ns();
+        let Some(demonstrations) = self.demonstrations(Arc::new(bank), connection)? else {
+            return Ok(());
+        };
         let mut memory = self.method.create(&self.world);
-        let built = self.demonstrations(Arc::new(bank), connection)?.and_then(|parts| {
+        let built = demonstrations.and_then(|parts| {
             memory.build(&parts.demonstrations())?;
             Ok(memory.store_bytes().unwrap_or(0))
         });
@@ -146,24 +151,24 @@ impl<'s> MemorySession<'s> {
         Ok(())
     }
 
-    /// The demonstrations of a bank, with their views if the method looks at them.
+    /// The demonstrations of a bank, with their views if the method looks at them. `None` if one is missing: see [`report_missing`].
     fn demonstrations(
         &self,
         bank: Arc<Bank>,
         connection: &mut Connection,
-    ) -> Result<Result<BankParts, MemoryError>, ServeError> {
+    ) -> Result<Option<Result<BankParts, MemoryError>>, ServeError> {
         let mut frames = Vec::new();
         let wanted = bank.steps().iter().filter(|_| self.uses_frames && bank_has_frames(&bank));
         for step in wanted {
             let Some(frame) = connection.frame(step.frame)? else {
-                let id = step.frame;
-                return Ok(Err(MemoryError::new(format_args!("frame {id} is not in the store"))));
+                report_missing(step.frame, format_args!("bank {}", bank.id()), connection);
+                return Ok(None);
             };
             frames.push(frame);
         }
         let steps = bank.steps().iter().map(|step| read_demonstration_step(&self.world, step));
         let steps: Result<Vec<_>, MemoryError> = steps.collect();
-        Ok(steps.map(|steps| BankParts { bank, steps, frames }))
+        Ok(Some(steps.map(|steps| BankParts { bank, steps, frames })))
     }
 
     fn begin(&mut self, message: &ExternalEpisode, errors: &mut ErrorReporter) {
@@ -244,9 +249,12 @@ impl<'s> MemorySession<'s> {
         // A lane whose next episode is announced awaits no answer.
         let is_over = self.announced.get(&lane).is_some_and(|waiting| !waiting.is_empty());
         let Some(running) = slot.as_mut().filter(|_| !is_over) else { return Ok(false) };
-        let frame = connection.frame(message.frame)?;
+        let Some(frame) = connection.frame(message.frame)? else {
+            report_missing(message.frame, format_args!("lane {lane}, step {step}"), connection);
+            return Ok(false);
+        };
         let memory = self.memories.get_mut(&running.bank).and_then(Option::as_mut);
-        let answer = running.answer(message, &self.world, frame.as_ref(), memory, self.window);
+        let answer = running.answer(message, &self.world, &frame, memory, self.window);
         self.method.check()?;
         running.failure = answer.as_ref().err().cloned();
         let id = RequestId { lane, episode, step };
@@ -350,6 +358,12 @@ impl<'s> MemorySession<'s> {
     }
 }
 
+/// Reports a frame that is not in the store. What asks for it is not answered, because neither the memory nor the episode has failed:
+/// usually the world has ended, and the run is about to start again.
+fn report_missing(id: FrameId, needed_by: fmt::Arguments<'_>, connection: &mut Connection) {
+    connection.errors.report(format_args!("{needed_by}: frame {id} is not in the store"));
+}
+
 impl AskedEpisode {
     /// Passes a step to the memory, and asks it.
     ///
@@ -359,7 +373,7 @@ impl AskedEpisode {
         &mut self,
         message: &ExternalQuery,
         world: &WorldDeclaration,
-        frame: Option<&Arc<Frame>>,
+        frame: &Arc<Frame>,
         memory: Option<&mut Box<dyn Memory + '_>>,
         window: usize,
     ) -> Result<UnsentAnswer, MemoryError> {
@@ -367,12 +381,8 @@ impl AskedEpisode {
             return Err(failure.clone());
         }
         let memory = memory.ok_or_else(|| MemoryError::new("there is no memory of the bank"))?;
-        let now = read_step(world, message, frame)?;
+        let now = read_step(world, message, Some(frame))?;
         self.observe(&now, memory.as_mut(), window)?;
-        let Some(frame) = frame else {
-            let id = message.frame;
-            return Err(MemoryError::new(format_args!("frame {id} is not in the store")));
-        };
         let query = Query {
             now,
             instruction: &self.instruction,
