@@ -34,6 +34,7 @@ _MESSAGE = re.compile(r"^(memtransfer: |error: |stopped: |\d+ of \d+ episodes co
 _ADVICE = re.compile(r"\nA (memory writes|policy attaches) .*\n +memtransfer conformance .*_MEMTRANSFER_RELAY.*")
 """How to examine a command that stands for an object."""
 
+_COMMAND = re.compile(r"\s+(\S*/)?memtransfer .*")
 _SAME_COMMAND = re.compile(r"\s+(\S*/)?memtransfer run .*")
 
 _LOG = re.compile(r"\d{4}-\d\d-\d\dT\S+ +(?:WARN|ERROR) \S.*")
@@ -141,7 +142,9 @@ def _is_screen() -> bool:
 
 
 def _in_python(line: str, keywords: Mapping[str, str]) -> str:
-    """Returns a line of the program with the keywords of `evaluate` in place of flags."""
+    """Returns a line of the program with the keywords of `evaluate` in place of flags. A command for the shell keeps its own."""
+    if _COMMAND.fullmatch(line):
+        return line
 
     def keyword(found: re.Match[str]) -> str:
         quoted, value, begin, first, bare = found.groups()
@@ -195,6 +198,11 @@ class Screen:
         if self._line:
             self._drawn = self._last_drawn(self._line)
             self._progress(self._drawn)
+
+    def note(self, line: str) -> None:
+        """Shows a line that stays, unless only notes are shown that the user has to know."""
+        if self._style is not Style.NOTES:
+            self._stay(line)
 
     def interrupted(self) -> None:
         """Says what an interrupt waits for."""
@@ -298,8 +306,7 @@ def attend(command: Sequence[str], variables: Mapping[str, str], stop: threading
     gets no interrupts, the program is in the process group of this process, and gets those of the terminal by itself.
     """
     in_main = threading.current_thread() is threading.main_thread()
-    terminal, end = pty.openpty()
-    _copy_size(end)
+    terminal, end = _open_terminal(screen)
     children: list[subprocess.Popen[bytes]] = []
     with _interrupts_go_to(lambda: _send_interrupt(children)) as count:
         try:
@@ -376,6 +383,18 @@ def _read(terminal: int, chunks: queue.SimpleQueue[bytes | None]) -> None:
     finally:
         os.close(terminal)
         chunks.put(None)
+
+
+def _open_terminal(screen: Screen) -> tuple[int, int]:
+    """Opens a terminal for the program, which shows its progress on none else, and returns both ends."""
+    try:
+        terminal, end = pty.openpty()
+    except OSError as error:
+        # As where /dev/pts is not mounted, in some containers and sandboxes.
+        screen.note(f"progress is not shown, because this system gives no pseudo-terminal: {error}")
+        return os.pipe()
+    _copy_size(end)
+    return terminal, end
 
 
 def _copy_size(terminal: int) -> None:
