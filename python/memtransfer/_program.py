@@ -199,11 +199,6 @@ class Screen:
             self._drawn = self._last_drawn(self._line)
             self._progress(self._drawn)
 
-    def note(self, line: str) -> None:
-        """Shows a line that stays, unless only notes are shown that the user has to know."""
-        if self._style is not Style.NOTES:
-            self._stay(line)
-
     def interrupted(self) -> None:
         """Says what an interrupt waits for."""
         calls = " and ".join(self._calls(0.0))
@@ -306,7 +301,7 @@ def attend(command: Sequence[str], variables: Mapping[str, str], stop: threading
     gets no interrupts, the program is in the process group of this process, and gets those of the terminal by itself.
     """
     in_main = threading.current_thread() is threading.main_thread()
-    terminal, end = _open_terminal(screen)
+    terminal, end = _open_terminal()
     children: list[subprocess.Popen[bytes]] = []
     with _interrupts_go_to(lambda: _send_interrupt(children)) as count:
         try:
@@ -385,13 +380,12 @@ def _read(terminal: int, chunks: queue.SimpleQueue[bytes | None]) -> None:
         chunks.put(None)
 
 
-def _open_terminal(screen: Screen) -> tuple[int, int]:
-    """Opens a terminal for the program, which shows its progress on none else, and returns both ends."""
+def _open_terminal() -> tuple[int, int]:
+    """Opens a terminal for the program, on which it draws its progress, and returns both ends."""
     try:
         terminal, end = pty.openpty()
-    except OSError as error:
-        # As where /dev/pts is not mounted, in some containers and sandboxes.
-        screen.note(f"progress is not shown, because this system gives no pseudo-terminal: {error}")
+    except OSError:
+        # As in containers and sandboxes without /dev/pts. The program prints its progress as lines then.
         return os.pipe()
     _copy_size(end)
     return terminal, end

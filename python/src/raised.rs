@@ -22,7 +22,9 @@ pub(crate) fn print(py: Python<'_>, raised: &PyErr) {
         raised.print(py);
         return;
     }
-    let arguments = (raised.get_type(py), raised.value(py), raised.traceback(py));
+    let (kind, traceback) = (raised.get_type(py), raised.traceback(py));
+    // A value of its own does not have its traceback.
+    let arguments = (kind, raised.clone_ref(py).into_value(py), traceback);
     let hook = py.import("sys").and_then(|sys| sys.getattr("excepthook"));
     if hook.and_then(|hook| hook.call1(arguments)).is_err() {
         raised.display(py);
