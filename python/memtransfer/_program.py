@@ -52,6 +52,9 @@ _TIME_LEFT = re.compile(r", (\d+ (s|min|h) ?)+left")
 _LONG_CALL_S = 3.0
 """A call of an object that takes longer is shown."""
 
+_COLUMNS = 200
+"""The width of lines of progress where there is no terminal."""
+
 _TICK_S = 0.1
 
 _LAST_WORDS_S = 10.0
@@ -392,13 +395,14 @@ def _open_terminal() -> tuple[int, int]:
 
 
 def _copy_size(terminal: int) -> None:
-    """Gives a terminal the size of this process's."""
+    """Gives a terminal the size of this process's. Where that has none, as in a notebook, lines need not be cut to its width."""
     import fcntl
     import termios
 
+    size = struct.pack("4H", 24, _COLUMNS, 0, 0)
     with suppress(OSError, ValueError, AttributeError):
-        size = fcntl.ioctl(sys.stderr.fileno(), termios.TIOCGWINSZ, struct.pack("4H", 0, 0, 0, 0))
-        fcntl.ioctl(terminal, termios.TIOCSWINSZ, size)
+        size = fcntl.ioctl(sys.stderr.fileno(), termios.TIOCGWINSZ, bytes(len(size)))
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, size)
 
 
 def _send_interrupt(children: Sequence[subprocess.Popen[bytes]]) -> None:

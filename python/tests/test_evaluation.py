@@ -660,6 +660,30 @@ def test_a_terminal_without_a_cursor_gets_lines(term: str | None, style: str, mo
         assert style_of_screen(progress=True) is Style[style]
 
 
+def test_progress_is_as_wide_as_the_terminal_and_not_cut_without_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import fcntl
+    import struct
+    import termios
+
+    from memtransfer._program import _open_terminal
+
+    def columns() -> int:
+        ends = _open_terminal()
+        try:
+            return os.get_terminal_size(ends[1]).columns
+        finally:
+            for end in ends:
+                os.close(end)
+
+    terminal, end = os.openpty()
+    fcntl.ioctl(end, termios.TIOCSWINSZ, struct.pack("4H", 20, 70, 0, 0))
+    with open(terminal), open(end, "w") as screen, open(tmp_path / "log", "w") as log:
+        monkeypatch.setattr(sys, "stderr", screen)
+        assert columns() == 70
+        monkeypatch.setattr(sys, "stderr", log)
+        assert columns() == 200
+
+
 def test_logs_and_long_calls_have_lines_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
     from memtransfer._program import Screen, Style
 
