@@ -11,6 +11,7 @@ import logging
 import os
 import secrets
 import shlex
+import shutil
 import socket
 import struct
 import sys
@@ -117,11 +118,13 @@ class Objects:
         # What cannot be removed here, the next run removes.
         with suppress(RunError):
             output_of(["clean"])
-        for folder in {service.folder for service in self._services.values() if service.folder is not None}:
-            # A run that is ended at once removes its folder; an object that goes on makes names again that belong to none.
-            if not folder.exists():
-                for name in Path("/dev/shm").glob(f"mt{folder.name}_*"):
-                    name.unlink(missing_ok=True)
+        for folder in {_run_of(service.folder) for service in self._services.values() if service.folder is not None}:
+            # What is left is used by this process alone: by what an object has kept, such as the demonstrations of a memory in the traceback
+            # of its exception. That stays mapped without names, which nothing would remove when this process ends. A run that is ended at
+            # once removes its folder; an object that goes on makes names again that belong to none.
+            shutil.rmtree(folder, ignore_errors=True)
+            for name in Path("/dev/shm").glob(f"mt{folder.name}_*"):
+                name.unlink(missing_ok=True)
 
     def _accept(self) -> None:
         while True:
@@ -143,6 +146,11 @@ class Objects:
             service.serve(folder, relay)
 
 
+def _run_of(folder: Path) -> Path:
+    """Returns the folder of a run: that which a policy joins, or around that which a memory joins."""
+    return folder.parent if folder.name.startswith("memory-") else folder
+
+
 def _native_service(served: Served) -> Callable[[str, bool], None]:
     """Returns what serves an object in the folder of a run. It has no frame in Python: between `_Service._serve` and a method of the object
     is none."""
@@ -158,7 +166,7 @@ class _Service:
     def __init__(self, served: Served, broken: threading.Event) -> None:
         self.served = served
         self.folder: Path | None = None
-        """The folder of the run in shared memory, once the service has joined it."""
+        """The folder that the service has joined, in that of the run in shared memory."""
         self.raised: BaseException | None = None
         self.ended = threading.Event()
         self.ended.set()

@@ -34,6 +34,7 @@ _MESSAGE = re.compile(r"^(memtransfer: |error: |stopped: |\d+ of \d+ episodes co
 _ADVICE = re.compile(r"\nA (memory writes|policy attaches) .*\n +memtransfer conformance .*_MEMTRANSFER_RELAY.*")
 """How to examine a command that stands for an object."""
 
+_COMMAND = re.compile(r"\s+(\S*/)?memtransfer .*")
 _SAME_COMMAND = re.compile(r"\s+(\S*/)?memtransfer run .*")
 
 _LOG = re.compile(r"\d{4}-\d\d-\d\dT\S+ +(?:WARN|ERROR) \S.*")
@@ -50,6 +51,9 @@ _TIME_LEFT = re.compile(r", (\d+ (s|min|h) ?)+left")
 
 _LONG_CALL_S = 3.0
 """A call of an object that takes longer is shown."""
+
+_COLUMNS = 200
+"""The width of lines of progress where there is no terminal."""
 
 _TICK_S = 0.1
 
@@ -141,7 +145,9 @@ def _is_screen() -> bool:
 
 
 def _in_python(line: str, keywords: Mapping[str, str]) -> str:
-    """Returns a line of the program with the keywords of `evaluate` in place of flags."""
+    """Returns a line of the program with the keywords of `evaluate` in place of flags. A command for the shell keeps its own."""
+    if _COMMAND.fullmatch(line):
+        return line
 
     def keyword(found: re.Match[str]) -> str:
         quoted, value, begin, first, bare = found.groups()
@@ -298,8 +304,7 @@ def attend(command: Sequence[str], variables: Mapping[str, str], stop: threading
     gets no interrupts, the program is in the process group of this process, and gets those of the terminal by itself.
     """
     in_main = threading.current_thread() is threading.main_thread()
-    terminal, end = pty.openpty()
-    _copy_size(end)
+    terminal, end = _open_terminal()
     children: list[subprocess.Popen[bytes]] = []
     with _interrupts_go_to(lambda: _send_interrupt(children)) as count:
         try:
@@ -378,14 +383,26 @@ def _read(terminal: int, chunks: queue.SimpleQueue[bytes | None]) -> None:
         chunks.put(None)
 
 
+def _open_terminal() -> tuple[int, int]:
+    """Opens a terminal for the program, on which it draws its progress, and returns both ends."""
+    try:
+        terminal, end = pty.openpty()
+    except OSError:
+        # As in containers and sandboxes without /dev/pts. The program prints its progress as lines then.
+        return os.pipe()
+    _copy_size(end)
+    return terminal, end
+
+
 def _copy_size(terminal: int) -> None:
-    """Gives a terminal the size of this process's."""
+    """Gives a terminal the size of this process's. Where that has none, as in a notebook, lines need not be cut to its width."""
     import fcntl
     import termios
 
+    size = struct.pack("4H", 24, _COLUMNS, 0, 0)
     with suppress(OSError, ValueError, AttributeError):
-        size = fcntl.ioctl(sys.stderr.fileno(), termios.TIOCGWINSZ, struct.pack("4H", 0, 0, 0, 0))
-        fcntl.ioctl(terminal, termios.TIOCSWINSZ, size)
+        size = fcntl.ioctl(sys.stderr.fileno(), termios.TIOCGWINSZ, bytes(len(size)))
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, size)
 
 
 def _send_interrupt(children: Sequence[subprocess.Popen[bytes]]) -> None:

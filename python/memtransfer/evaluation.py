@@ -16,10 +16,12 @@ from __future__ import annotations
 import html
 import importlib
 import json
+import multiprocessing.process
 import os
 import pickle
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import threading
@@ -224,6 +226,11 @@ def evaluate(
     """
     if os.environ.get(ATTACH):
         raise RunError(f"this process was started by a run, which {ATTACH} names: serve it with `run`, not `evaluate`")
+    if getattr(multiprocessing.process.current_process(), "_inheriting", False):
+        raise RunError(
+            "this process was started by multiprocessing and imports the main program, which calls `evaluate` again: put the call "
+            'under `if __name__ == "__main__":`'
+        )
     objects: list[_objects.Served] = []
     arguments = [
         *_policy_flags(policy, objects),
@@ -249,7 +256,7 @@ def evaluate(
             services.remove_rest()
     raised = services.raised
     if services.broken.is_set() and raised is not None:
-        message = str(raised) if isinstance(raised, MemTransferError) else f"{type(raised).__name__}: {raised}"
+        message = str(raised) if isinstance(raised, MemTransferError) else f"{type(raised).__name__}: {raised}".removesuffix(": ")
         raise RunError(message, ended.status) from raised
     if ended.interrupted:
         raise KeyboardInterrupt
@@ -278,7 +285,10 @@ def _memory_flags(
         return []
     flags: list[str] = []
     names: list[str] = []
-    for one in [memory] if isinstance(memory, str) or is_memory(memory) else _sequence_of("memory", memory):
+    several = [memory] if isinstance(memory, str) or is_memory(memory) else _sequence_of("memory", memory)
+    if not all(not isinstance(one, str) or one.strip() for one in several) or not several:
+        raise ValueError(f"memory is {memory!r}, which names none: leave it out for the built-in ones")
+    for one in several:
         if is_memory(one):
             name = _objects.name_of(one)
             if any(_objects.name_of(other) == name for other in objects):
@@ -303,7 +313,9 @@ def _sequence_of(name: str, value: Any) -> list[Any]:
 
 
 def _is_name(text: str) -> bool:
-    return re.fullmatch(r"[a-z0-9-]+(,[a-z0-9-]+)*", text) is not None
+    """Whether a text is a name, or several, rather than a command. A word that is no program is a misspelt name."""
+    is_word = re.fullmatch(r"[A-Za-z0-9_-]+", text) is not None
+    return re.fullmatch(r"[a-z0-9-]+(,[a-z0-9-]+)*", text) is not None or (is_word and shutil.which(text) is None)
 
 
 def _setting_flags(settings: Mapping[str, Any]) -> list[str]:
@@ -498,6 +510,9 @@ def _in_brackets(interval: tuple[float, float] | None, digits: int) -> str:
 class _Page(PosixPath):
     """The path of a page, which a notebook shows as a link."""
 
+    def __repr__(self) -> str:
+        return repr(Path(self))
+
     def _repr_html_(self) -> str:
         path = os.path.relpath(self)
         return f'<a href="{html.escape(quote(path))}" target="_blank">{html.escape(path)}</a>'
@@ -556,7 +571,11 @@ class Result:
 
         Raises:
             RunError: There is no such condition, or the two have no pair.
+            TypeError: A name is no str.
         """
+        for name in (a, b):
+            if not isinstance(name, str):
+                raise TypeError(f"{name!r} is no name of a condition, which is a str as in the index of `scores`")
         printed = _program.output_of(["score", str(self.path), "--compare", a, b, "--json"], accepted=(0, 1))
         (compared,) = json.loads(printed)
         success, spl = compared["sr"], compared["spl"]

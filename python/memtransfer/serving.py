@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Generator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from types import CodeType, FrameType, FunctionType
@@ -172,8 +172,11 @@ def _sources_of(used: type | FunctionType) -> dict[str, str]:
             continue
         names: set[str] = set()
         for function in [one] if isinstance(one, FunctionType) else _functions_of(one):
-            with suppress(OSError, TypeError):
+            try:
                 sources[function.__qualname__] = inspect.getsource(function)
+            except (OSError, TypeError):
+                # As in the interactive interpreter, and in a program that is read from standard input.
+                sources[function.__qualname__] = _compiled(function.__code__)
             names |= _names_in(function.__code__)
         sources.setdefault(one.__qualname__, "")
         if isinstance(one, type):
@@ -192,6 +195,18 @@ def _sources_of(used: type | FunctionType) -> dict[str, str]:
 def _functions_of(kind: type) -> list[FunctionType]:
     members = (getattr(value, "fget", None) or getattr(value, "__func__", value) for value in vars(kind).values())
     return [member for member in members if isinstance(member, FunctionType)]
+
+
+def _compiled(code: CodeType) -> str:
+    """What tells changed code where there is no source. Of one version of Python."""
+
+    def in_words(constant: object) -> str:
+        if isinstance(constant, CodeType):
+            return _compiled(constant)
+        # The order of a set differs from process to process.
+        return str(sorted(map(repr, constant))) if isinstance(constant, frozenset) else repr(constant)
+
+    return repr((code.co_code, code.co_names, [in_words(constant) for constant in code.co_consts]))
 
 
 def _names_in(code: CodeType) -> set[str]:

@@ -21,7 +21,7 @@ use crate::classes::Classes;
 use crate::declaration::DeclaredWorld;
 use crate::frame::Frame;
 use crate::query::{MemoryStep, Numbers, as_array};
-use crate::raised::{Interrupt, in_words, print};
+use crate::raised::{Interrupt, in_words, is_list, print};
 
 /// Name, version, scope, whether it uses embeddings, whether it looks at frames, whether it is deterministic, whether it
 /// learns, the files of its code.
@@ -156,20 +156,14 @@ impl PythonMemory {
     }
 
     fn items(&self, answer: &Bound<'_, PyAny>, world: &DeclaredWorld) -> PyResult<Vec<MemoryItem>> {
-        if answer.is_none() || answer.is_instance_of::<PyString>() {
+        if !is_list(answer) {
             let problem = format!(
                 "recall returned {}, but must return a list of items, which may be empty",
                 answer.repr()?
             );
-            return Err(PyValueError::new_err(problem));
+            return Err(PyTypeError::new_err(problem));
         }
-        let items = answer.try_iter().map_err(|_| {
-            PyTypeError::new_err(format!(
-                "recall returned one {}, but must return a list of items",
-                answer.get_type()
-            ))
-        })?;
-        items.map(|item| self.item(&item?, world)).collect()
+        answer.try_iter()?.map(|item| self.item(&item?, world)).collect()
     }
 
     fn item(&self, item: &Bound<'_, PyAny>, world: &DeclaredWorld) -> PyResult<MemoryItem> {

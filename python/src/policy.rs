@@ -9,7 +9,7 @@ use pyo3::types::{PyDict, PyList};
 use crate::classes::{Classes, error};
 use crate::declaration::DeclaredWorld;
 use crate::exchange;
-use crate::raised::{in_words, is_interrupt, print};
+use crate::raised::{in_words, is_interrupt, is_list, print};
 use crate::step::Step;
 
 /// Exceptions in a row, without an answer in between, after which the run is asked to stop.
@@ -150,11 +150,11 @@ impl PythonPolicy {
         let broken = |problem: String| {
             Err(error(py, "PolicyError", format!("policy {} {problem}", self.name)))
         };
-        if replies.is_none() {
-            return broken(
-                "returned None from act: it must return a list with one answer for each request"
-                    .into(),
-            );
+        if !is_list(&replies) {
+            return broken(format!(
+                "returned {} from act: it must return a list with one answer for each request",
+                replies.repr()?
+            ));
         }
         let replies: Vec<_> = match replies.try_iter().and_then(Iterator::collect) {
             Ok(replies) => replies,

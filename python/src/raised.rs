@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use peer::ServeError;
 use pyo3::exceptions::{PyKeyboardInterrupt, PySystemExit};
 use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict, PyFrozenSet, PySet, PyString};
 
 /// Whether an exception is an interrupt.
 pub(crate) fn is_interrupt(py: Python<'_>, raised: &PyErr) -> bool {
@@ -16,11 +17,28 @@ pub(crate) fn is_interrupt(py: Python<'_>, raised: &PyErr) -> bool {
 
 /// Prints the traceback of an exception, which goes to the log.
 pub(crate) fn print(py: Python<'_>, raised: &PyErr) {
-    // To print a SystemExit ends the process, which may be a notebook's.
-    match raised.is_instance_of::<PySystemExit>(py) {
-        true => raised.display(py),
-        false => raised.print(py),
+    // To print a SystemExit ends the process, which may be a notebook's. The hook only prints it.
+    if !raised.is_instance_of::<PySystemExit>(py) {
+        raised.print(py);
+        return;
     }
+    let (kind, traceback) = (raised.get_type(py), raised.traceback(py));
+    // A value of its own does not have its traceback.
+    let arguments = (kind, raised.clone_ref(py).into_value(py), traceback);
+    let hook = py.import("sys").and_then(|sys| sys.getattr("excepthook"));
+    if hook.and_then(|hook| hook.call1(arguments)).is_err() {
+        raised.display(py);
+    }
+}
+
+/// Whether a value can be the list that a method returns: anything that has an order, so no set, and is neither a text nor a mapping.
+pub(crate) fn is_list(answer: &Bound<'_, PyAny>) -> bool {
+    let is_other = answer.is_instance_of::<PyString>()
+        || answer.is_instance_of::<PyBytes>()
+        || answer.is_instance_of::<PyDict>()
+        || answer.is_instance_of::<PySet>()
+        || answer.is_instance_of::<PyFrozenSet>();
+    !is_other && answer.try_iter().is_ok()
 }
 
 /// An exception in words: its class, and its message if it has one.

@@ -136,8 +136,12 @@ def test_objects_of_this_process_are_evaluated(tmp_path: Path) -> None:
         assert "No difference shown: " in shown
     with pytest.raises(RunError, match="did you mean `top-3/original/unchanged/original`"):
         result.compare("top-3/original/unchanged/orignal", conditions[0])
+    unnamed: Any = 3
+    with pytest.raises(TypeError, match="3 is no name of a condition"):
+        result.compare(unnamed, conditions[0])
     assert conditions[0] in repr(result) and conditions[0] in result._repr_html_()
     page = result.report()
+    assert repr(page) == repr(Path(page))
     assert page == out / "report/report.html" and "top-3" in page.read_text()
     assert 'report/report.html" target="_blank">' in page._repr_html_()  # type: ignore[attr-defined]
     # The same call again finds nothing missing, and a larger limit adds episodes.
@@ -249,6 +253,8 @@ def test_the_message_of_the_program_is_raised(tmp_path: Path) -> None:
         evaluate(out=tmp_path / "run", suite="rq7")
     with pytest.raises(RunError, match="^memory: unknown memory `workin`: did you mean `working`"):
         evaluate(out=tmp_path / "run", memory="workin")
+    with pytest.raises(RunError, match="^memory: unknown memory `full_Context`: did you mean `full-context`"):
+        evaluate(out=tmp_path / "run", memory="full_Context")
     with pytest.raises(RunError, match="^demos: unknown demonstrations `nope`"):
         evaluate(out=tmp_path / "run", demos="nope")
     with pytest.raises(RunError, match="there is no program `no-such-program` in"):
@@ -273,6 +279,8 @@ def test_the_message_of_the_program_is_raised(tmp_path: Path) -> None:
         ({"memory": ["working", 3]}, TypeError, "memory is 3, which is neither a Memory, the class of one nor a str"),
         ({"memory": [Nothing(), Nothing]}, ValueError, "two objects of the name memory nothing"),
         ({"memory": "external"}, ValueError, "pass the memory itself"),
+        ({"memory": []}, ValueError, r"memory is \[\], which names none: leave it out for the built-in ones"),
+        ({"memory": ["working", " "]}, ValueError, r"memory is \['working', ' '\], which names none"),
         ({"world": 3}, TypeError, "world is 3, which is neither a str nor what makes a world"),
     ],
 )
@@ -280,6 +288,95 @@ def test_arguments_that_start_no_run(tmp_path: Path, arguments: dict[str, Any], 
     with pytest.raises(error, match=message):
         evaluate(out=tmp_path / "run", **arguments)
     assert not (tmp_path / "run").exists()
+
+
+def is_left(run: str, registry: Path) -> bool:
+    """Whether anything of a run is in shared memory."""
+    return run in os.listdir(registry) or any(name.startswith(f"mt{run}_") for name in os.listdir("/dev/shm"))
+
+
+@pytest.mark.parametrize("raises", [False, True])
+def test_what_a_memory_keeps_stays_readable_and_leaves_nothing_behind(tmp_path: Path, registry: Path, raises: bool) -> None:
+    kept: list[Any] = []
+    runs: list[str] = []
+
+    class Keeps(Memory):
+        def build(self, demonstrations: Any) -> None:
+            runs.extend(os.listdir(registry))
+            kept.extend(demonstrations)
+
+        def recall(self, query: Any) -> list[Any]:
+            if raises:
+                raise ValueError("no answer")
+            return []
+
+    if raises:
+        with pytest.raises(RunError, match="no answer"):
+            evaluate(out=tmp_path / "run", memory=Keeps(), **SHORT)
+    else:
+        evaluate(out=tmp_path / "run", memory=Keeps(), **SHORT)
+    assert runs and not is_left(runs[0], registry)
+    assert all(demonstration.embeddings.any() for demonstration in kept)
+
+
+@pytest.mark.parametrize("answer", [{"a": 1}, {"a"}, b"a", "a", Steps(0), 3, None])
+def test_an_answer_that_is_no_list_is_refused(tmp_path: Path, answer: Any) -> None:
+    class Recalls(Nothing):
+        def recall(self, query: Any) -> Any:
+            return answer
+
+    class Acts(Policy):
+        def act(self, batch: Any) -> Any:
+            return answer
+
+    with pytest.raises(RunError, match="must return a list of items") as caught:
+        evaluate(out=tmp_path / "memory", memory=Recalls(), **SHORT)
+    assert f"recall returned {answer!r}, but" in str(caught.value)
+    with pytest.raises(RunError, match="from act: it must return a list with one answer for each request") as caught:
+        evaluate(out=tmp_path / "policy", policy=Acts(), memory="working", **SHORT)
+    assert f"returned {answer!r} from act" in str(caught.value)
+
+
+def test_an_exit_in_a_memory_is_a_cause_as_other_exceptions_are(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    class Exits(Nothing):
+        def recall(self, query: Any) -> list[Any]:
+            sys.exit("enough")
+
+    with pytest.raises(RunError, match="raised SystemExit: enough") as caught:
+        evaluate(out=tmp_path / "run", memory=Exits(), **SHORT)
+    assert isinstance(caught.value.__cause__, SystemExit)
+    assert "Traceback" not in capfd.readouterr().err
+    assert "Traceback" in (tmp_path / "run/logs/external-memory-0.log").read_text()
+
+
+def test_it_runs_without_pseudo_terminals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    import pty
+
+    def refuse() -> tuple[int, int]:
+        raise OSError("out of pty devices")
+
+    monkeypatch.setattr(pty, "openpty", refuse)
+    evaluate(out=tmp_path / "run", memory=Nothing(), **{**SHORT, "progress": True})
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "starting the processes" and lines[-1] == f"finished: {tmp_path / 'run'}"
+    with pytest.raises(RunError, match="^limit: -1 is not a whole number"):
+        evaluate(out=tmp_path / "run", memory=Nothing(), **{**SHORT, "limit": -1})
+
+
+def test_a_process_that_imports_the_main_program_runs_nothing(tmp_path: Path) -> None:
+    call = """
+class Starts(Nothing):
+    def build(self, demonstrations):
+        import multiprocessing
+        process = multiprocessing.get_context("spawn").Process(target=print)
+        process.start()
+        process.join()
+
+print(len(evaluate(memory=Starts(), frame_size=64, max_steps=3, limit=1, starts="original", out="run").episodes))
+"""
+    printed, problems = start(tmp_path, call, 0).communicate()
+    assert printed == "1\n", problems
+    assert 'put the call under `if __name__ == "__main__":`' in problems
 
 
 def test_settings_are_the_flags_of_run() -> None:
@@ -458,6 +555,24 @@ def read(path: Path) -> str:
         return ""
 
 
+def test_changed_code_is_refused_where_there_is_no_source(tmp_path: Path) -> None:
+    program = """
+from memtransfer import Memory, evaluate
+
+class Recalls(Memory):
+    embeddings = False
+    def recall(self, query):
+        return [] if query.step in {1, 2} else ["NOTE"]
+
+evaluate(memory=Recalls(), frame_size=64, max_steps=3, limit=1, starts="original", out="run")
+"""
+    for note, status in (("a", 0), ("a", 0), ("b", 1)):
+        text = program.replace("NOTE", note)
+        done = subprocess.run([sys.executable, "-"], input=text, cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == status, done.stderr
+    assert "code of memory recalls" in done.stderr
+
+
 def test_changed_code_is_refused_and_a_changed_call_is_not(tmp_path: Path) -> None:
     script = """
         from memtransfer import Memory, evaluate
@@ -545,6 +660,30 @@ def test_a_terminal_without_a_cursor_gets_lines(term: str | None, style: str, mo
         assert style_of_screen(progress=True) is Style[style]
 
 
+def test_progress_is_as_wide_as_the_terminal_and_not_cut_without_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import fcntl
+    import struct
+    import termios
+
+    from memtransfer._program import _open_terminal
+
+    def columns() -> int:
+        ends = _open_terminal()
+        try:
+            return os.get_terminal_size(ends[1]).columns
+        finally:
+            for end in ends:
+                os.close(end)
+
+    terminal, end = os.openpty()
+    fcntl.ioctl(end, termios.TIOCSWINSZ, struct.pack("4H", 20, 70, 0, 0))
+    with open(terminal), open(end, "w") as screen, open(tmp_path / "log", "w") as log:
+        monkeypatch.setattr(sys, "stderr", screen)
+        assert columns() == 70
+        monkeypatch.setattr(sys, "stderr", log)
+        assert columns() == 200
+
+
 def test_logs_and_long_calls_have_lines_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
     from memtransfer._program import Screen, Style
 
@@ -577,6 +716,7 @@ def test_logs_and_long_calls_have_lines_of_their_own(capsys: pytest.CaptureFixtu
         ("`--memory none` is for --memory-cmd", "`memory='none'` is for `memory`"),
         ("no program `x` in `x --out y`; see `memtransfer doctor --policy openai`", None),
         ("--fast is no flag, and so is an --out-of-date", None),
+        ("  memtransfer conformance --policy-cmd 'python my_policy.py'", None),
     ],
 )
 def test_messages_name_arguments_rather_than_flags(line: str, shown: str | None) -> None:

@@ -3,6 +3,8 @@
 import os
 import tempfile
 import zlib
+from collections.abc import Sequence
+from typing import Any
 
 # mem0 reads these when it is imported. It would report to its makers, and keep files in the home folder.
 FOLDER = tempfile.TemporaryDirectory(prefix="mem0-")
@@ -13,7 +15,7 @@ import numpy as np  # noqa: E402
 from mem0.embeddings.base import EmbeddingBase  # noqa: E402
 from mem0.utils.factory import EmbedderFactory  # noqa: E402
 
-from memtransfer import Memory, Source, Text, run  # noqa: E402
+from memtransfer import Demonstration, Episode, EpisodeEnd, Memory, Query, Source, Text, run  # noqa: E402
 
 HITS = 3
 DIMENSIONS = 256
@@ -22,11 +24,11 @@ DIMENSIONS = 256
 class Words(EmbeddingBase):
     """Counts words by their hash: equal tasks have equal vectors."""
 
-    def embed(self, text, memory_action=None):
+    def embed(self, text: str, memory_action: Any = None) -> Any:
         vector = np.zeros(DIMENSIONS)
         for word in text.lower().strip(".").split():
             vector[zlib.crc32(word.encode()) % DIMENSIONS] += 1
-        return (vector / max(1, np.linalg.norm(vector))).tolist()
+        return (vector / max(1.0, float(np.linalg.norm(vector)))).tolist()
 
 
 # mem0 accepts its own list of embedders only, so ours takes the name of one that is not installed.
@@ -47,10 +49,10 @@ class Mem0(Memory):
     name = "mem0"
     scope = "all"
     embeddings = False
-    store = None
+    store: Any = None
     banks = 0
 
-    def build(self, demonstrations):
+    def build(self, demonstrations: Sequence[Demonstration]) -> None:
         # One store for all banks: the user of mem0 is the bank.
         if Mem0.store is None:
             Mem0.store = mem0.Memory.from_config(SETTINGS)
@@ -60,9 +62,9 @@ class Mem0(Memory):
         for number, demonstration in enumerate(demonstrations):
             task = demonstration.instruction
             self.store.add(task, user_id=self.user, metadata={"number": number}, infer=False)
-        self.found = {}
+        self.found: dict[int, list[Text]] = {}
 
-    def begin_episode(self, episode):
+    def begin_episode(self, episode: Episode) -> None:
         filters = {"user_id": self.user}
         found = []
         if episode.instruction.strip():  # mem0 refuses to search for nothing
@@ -70,10 +72,10 @@ class Mem0(Memory):
         numbers = [memory["metadata"]["number"] for memory in found]
         self.found[episode.id] = [Text(self.routes[n], [Source(n)]) for n in numbers]
 
-    def recall(self, query):
+    def recall(self, query: Query) -> Sequence[Text]:
         return self.found[query.episode]
 
-    def end_episode(self, end):
+    def end_episode(self, end: EpisodeEnd) -> None:
         self.found.pop(end.episode, None)
 
 

@@ -5,10 +5,11 @@ NOTES_MODEL is the model's name.
 """
 
 import os
+from collections.abc import Sequence
 
 from openai import OpenAI
 
-from memtransfer import Memory, Source, Text, run
+from memtransfer import Demonstration, Memory, Query, Source, Text, run
 
 TASK = (
     "A robot was shown a route. Write one short note with the task and the places of the route, for a robot that gets a "
@@ -21,9 +22,9 @@ class ModelNotes(Memory):
     embeddings = False
     deterministic = False
 
-    def build(self, demonstrations):
+    def build(self, demonstrations: Sequence[Demonstration]) -> None:
         client = OpenAI(api_key=os.environ.get("OPENAI_API_KEY", "none"))
-        self.notes = []
+        self.notes: list[Text] = []
         for number, demonstration in enumerate(demonstrations):
             reply = client.chat.completions.create(
                 model=os.environ["NOTES_MODEL"],
@@ -37,10 +38,10 @@ class ModelNotes(Memory):
             note = (reply.choices[0].message.content or "").strip()
             self.notes.append(Text(note, [Source(number)]))
 
-    def recall(self, query):
+    def recall(self, query: Query) -> Sequence[Text]:
         return self.notes[:8]
 
-    def store_bytes(self):
+    def store_bytes(self) -> int:
         return sum(len(note.text.encode()) for note in self.notes)
 
 

@@ -6,10 +6,11 @@ robotmem searches with a model of its own unless `embed_backend` is "none". It t
 """
 
 import logging
+from collections.abc import Sequence
 
 from robotmem.sdk import RobotMemory
 
-from memtransfer import Heading, Memory, Steps, run
+from memtransfer import Action, Demonstration, Heading, Memory, Pose, Query, Steps, run
 
 HITS = 100  # robotmem's most; it sorts by distance only what BM25 has found
 LONGEST = 300  # characters of a note
@@ -19,11 +20,11 @@ class Robotmem(Memory):
     name = "robotmem"
     embeddings = False
 
-    def build(self, demonstrations):
+    def build(self, demonstrations: Sequence[Demonstration]) -> None:
         self.store = RobotMemory(db_path=":memory:", embed_backend="none")
         for number, demonstration in enumerate(demonstrations):
             for first, step in enumerate(demonstration):
-                if step.action is None:
+                if not isinstance(step.action, Action):
                     continue
                 note = (
                     f"{demonstration.instruction} Demonstration {number}, step {first}: "
@@ -37,7 +38,7 @@ class Robotmem(Memory):
                     },
                 )
 
-    def recall(self, query):
+    def recall(self, query: Query) -> Sequence[Steps]:
         if not query.instruction.strip():
             return []  # robotmem refuses to search for nothing
         near = {"field": "spatial.position", "target": self.position(query.pose)}
@@ -45,7 +46,7 @@ class Robotmem(Memory):
         return [Steps(**memory["params"]) for memory in found[:1]]
 
     @staticmethod
-    def position(pose):
+    def position(pose: Pose) -> list[float]:
         # A quarter turn is as far as half a cell.
         east, north = {Heading.N: (0, 1), Heading.E: (1, 0), Heading.S: (0, -1), Heading.W: (-1, 0)}[
             pose.heading

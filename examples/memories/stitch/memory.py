@@ -6,8 +6,15 @@ task, and from there what the expert did, to its end.
 """
 
 from collections import deque
+from collections.abc import Iterable, Sequence
+from typing import TypeAlias
 
-from memtransfer import Action, Memory, Plan, Source, run
+from memtransfer import Action, Demonstration, EpisodeEnd, Memory, Plan, Query, Source, run
+
+State: TypeAlias = "tuple[float, ...]"
+Part: TypeAlias = "Source | Action"
+Way: TypeAlias = "list[tuple[State, Part | None]]"
+"""States, each with the part of a plan that is next; the last has none."""
 
 TURNS = (Action.TURN_LEFT, Action.TURN_RIGHT, Action.TURN_AROUND)
 
@@ -17,10 +24,11 @@ class Stitch(Memory):
     scope = "all"
     embeddings = False
 
-    def build(self, demonstrations):
+    def build(self, demonstrations: Sequence[Demonstration]) -> None:
         self.demonstrations = demonstrations
         # By state what experts did there and where it led, and for each task the first steps in a state.
-        self.ways, self.of_task = {}, {}
+        self.ways: dict[State, list[tuple[State, Part]]] = {}
+        self.of_task: dict[str, dict[State, tuple[int, int]]] = {}
         for number, demonstration in enumerate(demonstrations):
             states = [tuple(state) for state in demonstration.states.tolist()]
             for step, state in enumerate(states):
@@ -30,9 +38,9 @@ class Stitch(Memory):
                 self.of_task.setdefault(demonstration.instruction, {}).setdefault(state, (number, step))
         for state in list(self.ways):
             self.ways[state] += [(turned, turn) for turn in TURNS if (turned := after(state, turn)) in self.ways]
-        self.plans = {}  # by episode: the states that its plan leads through, each with the part that is next
+        self.plans: dict[int, Way] = {}  # by episode
 
-    def recall(self, query):
+    def recall(self, query: Query) -> Sequence[Plan]:
         here = tuple(query.state)
         ahead = self.plans.get(query.episode, [])
         if len(ahead) > 1 and ahead[1][0] == here:
@@ -43,13 +51,14 @@ class Stitch(Memory):
         parts = joined(part for _, part in ahead if part is not None)
         return [Plan(parts)] if parts else []
 
-    def end_episode(self, end):
+    def end_episode(self, end: EpisodeEnd) -> None:
         self.plans.pop(end.episode, None)
 
-    def route(self, start, instruction):
+    def route(self, start: State, instruction: str) -> Way:
         """The states and parts of the shortest way to a demonstration of the task, and of that to its end."""
         goals = self.of_task.get(instruction, {})
-        reached, waiting = {start: None}, deque([start])
+        reached: dict[State, tuple[State, Part] | None] = {start: None}
+        waiting = deque([start])
         while waiting:
             state = waiting.popleft()
             if state in goals:
@@ -63,27 +72,28 @@ class Stitch(Memory):
         number, step = goals[state]
         demonstration = self.demonstrations[number]
         last = len(demonstration) - 1
-        rest = [(tuple(demonstration.states[at].tolist()), Source(number, at, 1)) for at in range(step, last)]
+        rest: Way = [(tuple(demonstration.states[at].tolist()), Source(number, at, 1)) for at in range(step, last)]
         rest.append((tuple(demonstration.states[last].tolist()), None))
-        while reached[state] is not None:
-            state, part = reached[state]
-            rest.insert(0, (state, part))
+        while (came := reached[state]) is not None:
+            rest.insert(0, came)
+            state, _ = came
         return rest
 
 
-def after(state, turn):
+def after(state: State, turn: Action) -> State:
     """The state after a turn on the spot."""
     column, row, heading = state
     quarters = {Action.TURN_LEFT: 3, Action.TURN_RIGHT: 1, Action.TURN_AROUND: 2}[turn]
     return (column, row, (heading + quarters) % 4)
 
 
-def joined(parts):
+def joined(parts: Iterable[Part]) -> list[Part]:
     """Consecutive steps of one demonstration as one source."""
-    plan = []
+    plan: list[Part] = []
     for part in parts:
         last = plan[-1] if plan else None
         if isinstance(part, Source) and isinstance(last, Source):
+            assert last.count is not None, "every part is one step, or several joined"
             if (last.demonstration, last.first + last.count) == (part.demonstration, part.first):
                 plan[-1] = Source(last.demonstration, last.first, last.count + 1)
                 continue

@@ -135,6 +135,9 @@ fn the_package_and_its_examples_are_typed() {
     for world in ["minigrid", "miniworld", "metaworld"] {
         mypy(&[repository(&format!("examples/worlds/{world}/world.py")).to_str().unwrap()]);
     }
+    for memory in fs::read_dir(repository("examples/memories")).unwrap() {
+        mypy(&[memory.unwrap().path().join("memory.py").to_str().unwrap()]);
+    }
     let packages = needs::python();
     python(&["-m", "pyright", "--pythonpath", packages.to_str().unwrap()], &[]).expect(0);
 }
