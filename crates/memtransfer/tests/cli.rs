@@ -556,7 +556,7 @@ fn a_gate_that_is_not_passed_has_an_exit_status_of_its_own() {
         // By another path, too.
         ("score all --require-no-worse-than ./few/../all", "cannot be compared with itself"),
         ("score all all", "all cannot be compared with itself"),
-        ("score all --compare C C", "C cannot be compared with itself"),
+        ("score all --compare C C", "unchanged/original cannot be compared with itself"),
         ("report all most all --out both", "all is given twice"),
         ("score all most --require C:sr>=60", "cannot be used with"),
     ] {
@@ -746,14 +746,16 @@ fn damaged_lines_are_named_by_all_that_leave_them_out() {
         "score a --json",
         "score a b",
         "score a b --json",
-        &format!("score a --compare {condition} {condition}"),
-        &format!("score a --compare {condition} {condition} --json"),
+        &format!("score a b --compare {condition} {condition}"),
+        &format!("score a b --compare {condition} {condition} --json"),
         &format!("score b a --compare {condition} {condition}"),
         "export a --format csv --out tables",
     ] {
         let output = memtransfer(dir.path(), arguments);
         let found = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(0), "{arguments}: {found}");
+        // Three of the four planned episodes are missing.
+        let status = if arguments.starts_with("score") { 1 } else { 0 };
+        assert_eq!(output.status.code(), Some(status), "{arguments}: {found}");
         assert_eq!(found.matches(said).count(), 1, "{arguments}: {found}");
         assert!(found.contains(field), "{arguments}: {found}");
         assert!(found.lines().all(|line| line.chars().count() <= 100), "{arguments}: {found}");
@@ -851,7 +853,8 @@ fn a_report_is_written_beside_the_folder_and_follows_no_link() {
     fs::write(dir.path().join("mine.html"), "mine").unwrap();
     std::os::unix::fs::symlink("../../mine.html", report.join("report.html")).unwrap();
     let output = memtransfer(dir.path(), "report run");
-    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    // One of four planned episodes is finished.
+    assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
     assert_eq!(fs::read_to_string(dir.path().join("mine.html")).unwrap(), "mine");
     assert!(fs::symlink_metadata(report.join("report.html")).unwrap().is_file());
     // A folder with anything else is no report.
