@@ -297,7 +297,7 @@ def retention(arms):
 
 
 def score(program, *arguments):
-    # Exit status 1 only says that episodes were given up.
+    # Exit status 1 would say that episodes are missing.
     done = subprocess.run([program, "score", *arguments, "--json"], stdout=subprocess.PIPE, check=True, text=True)
     return json.loads(done.stdout)
 

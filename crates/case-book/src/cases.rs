@@ -142,6 +142,22 @@ pub struct CaseFacts {
     pub invalidated_when_blocked: bool,
 }
 
+impl CaseFacts {
+    /// Whether `other` is the same task from the same starts, as far as both are tested there.
+    pub fn is_same_case(&self, other: &Self) -> bool {
+        let is_same_reference = |reference: &Reference| {
+            let tested = other
+                .references
+                .iter()
+                .find(|theirs| (theirs.start, theirs.route) == (reference.start, reference.route));
+            tested.is_none_or(|theirs| theirs == reference)
+        };
+        self.task == other.task
+            && self.instruction == other.instruction
+            && self.references.iter().all(is_same_reference)
+    }
+}
+
 /// The expert's trajectory of a case.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

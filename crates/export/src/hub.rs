@@ -117,7 +117,7 @@ fn yaml(
         let mut notes = format!(
             "success rate in percent, n = {count}; MemTransfer {}, protocol {}; policy {}",
             manifest.version,
-            manifest.protocol_id(),
+            log.protocol_id(),
             manifest.policy_label()
         );
         if frames != Frames::Rendered {

@@ -14,8 +14,8 @@ use super::{Exit, print};
 #[command(after_help = "\
 Reads the runs' folders and nothing else. Writes report.html (one page, everything inside),
 its figures as SVG and PDF, every table as CSV, and conditions and episodes as CSV and Parquet;
-prints the path of the page. Every caption names the policy. Exit status 1 when episodes were given
-up.
+prints the path of the page. Every caption names the policy. Exit status 1 when episodes are
+missing, given up or not run yet.
 Of several runs the page ranks the conditions, and compares every two runs pair by pair.
 The tables have the paper's figures beside the run's. --against has those of another publication
 there, and a section about all of them: which lie in this run's intervals, and what was configured
@@ -47,6 +47,11 @@ pub(super) fn run(args: &ReportArgs) -> anyhow::Result<Exit> {
     let logs = args.runs.iter().map(|dir| RunLog::read(dir));
     let mut logs = logs.collect::<Result<Vec<_>, _>>()?;
     tell_apart(&mut logs);
+    for (number, log) in logs.iter().enumerate() {
+        if logs[..number].iter().any(|other| other.is_same_run(log)) {
+            bail!("{} is given twice", log.dir.display());
+        }
+    }
     let against = match &args.against {
         Some(_) if logs.len() > 1 => {
             bail!(
@@ -71,6 +76,6 @@ pub(super) fn run(args: &ReportArgs) -> anyhow::Result<Exit> {
         (None, _) => bail!("a report about several runs needs a folder of its own: give --out DIR"),
     };
     print(&page.display().to_string())?;
-    let given_up = logs.iter().any(|log| !log.errors.is_empty());
-    Ok(if given_up { Exit::Failed } else { Exit::Complete })
+    let are_complete = logs.iter().all(RunLog::is_complete);
+    Ok(if are_complete { Exit::Complete } else { Exit::Failed })
 }

@@ -8,7 +8,7 @@ use clap::Args;
 use require::RequireArgs;
 use run_log::policy::PolicyLabel;
 use run_log::{Difference, RunLog, tell_apart};
-use scores::compare::{LeftOutConditions, compare_conditions, differing_settings, pair_runs};
+use scores::compare::{LeftOutConditions, differing_settings, pair_conditions, pair_runs};
 use scores::gate::{GateResult, Verdict};
 use scores::{Comparison, Scores, conclude, score};
 use serde::Serialize;
@@ -30,8 +30,8 @@ and otherwise undecided, which is not passed: too few cases, or episodes are mis
 and the bound -POINTS: with 100 cases equal runs pass by default, with 50 they do not. Each gate is
 decided by itself, at 95 %. docs/gates.md has more.
 
-Exit status: 0 complete, and every gate is passed; 1 episodes were given up; 2 error, also for a
-gate that names no condition of the run; 4 a gate is failed or undecided.
+Exit status: 0 complete, and every gate is passed; 1 episodes are missing, given up or not run yet;
+2 error, also for a gate that names no condition of the run; 4 a gate is failed or undecided.
 
 Examples:
   memtransfer score runs/quick-grounded
@@ -48,7 +48,8 @@ pub(super) struct ScoreArgs {
     /// Compare with this run, condition by condition
     #[arg(value_name = "RUN2")]
     other: Option<PathBuf>,
-    /// Compare two conditions (of RUN; the second one of RUN2 where that is given)
+    /// Compare two conditions (of RUN; the second one of RUN2 where that is given). Can be given several times: p is corrected
+    /// for all
     #[arg(long, num_args = 2, value_names = ["CONDITION", "CONDITION"])]
     compare: Option<Vec<String>>,
     #[command(flatten)]
@@ -91,20 +92,24 @@ pub(super) fn run(args: &ScoreArgs) -> anyhow::Result<Exit> {
             args.show_runs(&log, other, &conclude(paired.pairings), &paired.left_out)?;
         }
         (Some(conditions), other) => {
-            let [a, b] = [0, 1].map(|side| conditions[side].as_str());
             let second = other.as_ref().unwrap_or(&log);
-            let compared = [compare_conditions((&log, a), (second, b))?];
+            let pairing =
+                |names: &[String; 2]| pair_conditions((&log, &names[0]), (second, &names[1]));
+            let pairs = conditions.as_chunks().0.iter();
+            let compared = conclude(pairs.map(pairing).collect::<Result<_, _>>()?);
             match other {
                 Some(other) => {
                     args.show_runs(&log, other, &compared, &LeftOutConditions::default())?;
                 }
                 None => {
                     let policy = log.manifest.policy_label();
-                    let labelled = compared.each_ref().map(|comparison| ComparedConditions {
+                    let labelled = compared.iter().map(|comparison| ComparedConditions {
                         policy: policy.clone(),
                         comparison,
                     });
-                    args.show(&labelled, || report::comparison(&log, &compared))?;
+                    args.show(&labelled.collect::<Vec<_>>(), || {
+                        report::comparison(&log, &compared)
+                    })?;
                 }
             }
         }
@@ -112,9 +117,8 @@ pub(super) fn run(args: &ScoreArgs) -> anyhow::Result<Exit> {
     if gates.iter().any(|gate| gate.verdict != Verdict::Passed) {
         return Ok(Exit::NotPassed);
     }
-    let given_up =
-        [Some(&log), other.as_ref()].into_iter().flatten().any(|log| !log.errors.is_empty());
-    Ok(if given_up { Exit::Failed } else { Exit::Complete })
+    let are_complete = [Some(&log), other.as_ref()].into_iter().flatten().all(RunLog::is_complete);
+    Ok(if are_complete { Exit::Complete } else { Exit::Failed })
 }
 
 /// A run's scores and gates, as JSON.

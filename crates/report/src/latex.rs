@@ -1,11 +1,10 @@
 //! Tables as LaTeX, for a paper: `booktabs` rules, a caption that names the policy, and a label.
 
-use crate::document::{Missing, Table, TableCell};
+use crate::document::{Missing, Table, TableCell, TableColumn};
 
 /// The table as a `table` environment, labelled `tab:ID`. A document needs `\usepackage{booktabs}`.
 pub(super) fn table(table: &Table) -> String {
-    let columns = table.columns.iter().map(|column| if column.is_text { 'l' } else { 'r' });
-    let alignment: String = table.stubs.iter().map(|_| 'l').chain(columns).collect();
+    let alignment = alignment(table);
     let mut lines = vec![
         r"% Needs \usepackage{booktabs}.".to_owned(),
         r"\begin{table}".to_owned(),
@@ -37,6 +36,56 @@ pub(super) fn table(table: &Table) -> String {
     }
     lines.push(r"\end{table}".to_owned());
     lines.join("\n") + "\n"
+}
+
+/// The characters that fit in a line of small print.
+const LINE: usize = 90;
+
+/// The characters of a column of text above which its lines are broken, where the table is wider than a line.
+const LONG_TEXT: usize = 24;
+
+/// The kinds of the columns. Where the table is wider than a line, its columns of long text share what the others leave.
+fn alignment(table: &Table) -> String {
+    let rows = || table.groups.iter().flat_map(|group| &group.rows);
+    let longest = |index: usize| {
+        let cells = rows().filter_map(|row| row.cells.get(index)).map(length);
+        cells.chain([table.columns[index].name.chars().count()]).max().unwrap_or(0)
+    };
+    let widths: Vec<usize> = (0..table.columns.len()).map(longest).collect();
+    let labels = rows().map(|row| row.label.chars().count()).max().unwrap_or(0);
+    let group_labels = table.groups.iter().filter_map(|group| group.label.as_ref());
+    let group_labels = group_labels.map(|label| label.chars().count()).max().unwrap_or(0);
+    let is_long = |index: usize| table.columns[index].is_text && widths[index] > LONG_TEXT;
+    let long: usize =
+        (0..widths.len()).filter(|index| is_long(*index)).map(|index| widths[index]).sum();
+    let gaps = 2 * (table.stubs.len() + widths.len());
+    let others = labels + group_labels + gaps + widths.iter().sum::<usize>() - long;
+    let is_wide = others + long > LINE;
+    let kind = |(index, column): (usize, &TableColumn)| {
+        if is_wide && is_long(index) {
+            // Columns of figures alone may fill a line; text still needs room.
+            let left = LINE.saturating_sub(others).max(LINE / 3);
+            let share = left as f64 / LINE as f64 * widths[index] as f64 / long as f64;
+            format!(r"p{{{share:.2}\linewidth}}")
+        } else if column.is_text {
+            "l".to_owned()
+        } else {
+            "r".to_owned()
+        }
+    };
+    let stubs = "l".repeat(table.stubs.len());
+    stubs + &table.columns.iter().enumerate().map(kind).collect::<String>()
+}
+
+/// The characters of a cell; those of an interval are smaller.
+fn length(cell: &TableCell) -> usize {
+    match cell {
+        TableCell::Value(value) => value.chars().count(),
+        TableCell::Sure { figure, interval } => {
+            figure.chars().count() + 3 * interval.chars().count() / 4
+        }
+        TableCell::Missing(missing) => missing.mark().chars().count(),
+    }
 }
 
 /// The line of headings that columns share, with rules below them; none where no columns share one.
@@ -109,7 +158,7 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::document::{RowGroup, TableColumn, TableRow};
+    use crate::document::{RowGroup, TableRow};
 
     #[test]
     fn a_table_has_groups_shared_headings_and_no_stray_command() {
@@ -159,5 +208,25 @@ mod tests {
         \\ \footnotesize ---, not published: it is a figure
         \end{table}
         ");
+    }
+
+    #[test]
+    fn long_text_is_broken_where_the_table_is_wider_than_a_line() {
+        let of = |text: usize| Table {
+            id: "t".to_owned(),
+            caption: String::new(),
+            stubs: vec!["Condition".to_owned()],
+            columns: vec![TableColumn::new("p"), TableColumn::text("Conclusion")],
+            groups: vec![RowGroup {
+                label: None,
+                rows: vec![TableRow::new(
+                    "0123456789",
+                    vec![TableCell::Value("0.500".to_owned()), TableCell::Value("x".repeat(text))],
+                )],
+            }],
+        };
+        // 10 + 5 + 3 gaps of 2 leave 69 of 90.
+        assert_eq!(alignment(&of(69)), "lrl");
+        assert_eq!(alignment(&of(70)), r"lrp{0.77\linewidth}");
     }
 }

@@ -232,7 +232,7 @@ impl<'de> Deserialize<'de> for Fact {
             }
 
             fn visit_str<E: Error>(self, text: &str) -> Result<Fact, E> {
-                Ok(Fact(text.to_owned()))
+                Ok(Fact(text.trim().to_owned()))
             }
 
             fn visit_i64<E: Error>(self, number: i64) -> Result<Fact, E> {
@@ -329,7 +329,7 @@ fn points<'de, D: Deserializer<'de>>(d: D) -> Result<Option<PublishedFigure>, D:
 }
 
 fn positive<'de, D: Deserializer<'de>>(d: D) -> Result<Option<PublishedFigure>, D::Error> {
-    within(PublishedFigure::deserialize(d)?, (0.0, f64::INFINITY)).map(Some)
+    within(PublishedFigure::deserialize(d)?, (0.0, 1e9)).map(Some)
 }
 
 #[cfg(test)]

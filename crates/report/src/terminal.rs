@@ -5,7 +5,7 @@ use std::fmt::Write;
 use domain::shell_word;
 use run_log::RunLog;
 use scores::compare::{LeftOutConditions, differing_settings};
-use scores::{Comparison, FigureDifference, Question, score};
+use scores::{Comparison, FigureDifference, Question, p_value, score};
 
 use super::document::{Table, TableCell};
 use super::published::Published;
@@ -16,7 +16,7 @@ use super::sections::{
     sensitivity_table, steps_per_second, success_table, supplied_table, time_table, transfer_table,
     verdict, worst_table,
 };
-use super::view::{ScoredRun, interval_text, p_value, pair_stubs, signed};
+use super::view::{ScoredRun, interval_text, pair_stubs, signed};
 use crate::table::{TextTable, table};
 
 /// Number of cases in the table of those that fail most.
@@ -227,8 +227,10 @@ fn compared_conditions(compared: &[Comparison]) -> String {
         ],
         1,
     );
-    let mut verdicts =
-        table(&["condition", "verdict", "A−B", "p", "shown", "more", "changes without"], 2);
+    let mut verdicts = table(
+        &["condition", "verdict", "A−B", "corrected\np", "shown", "more", "changes without"],
+        2,
+    );
     verdicts.set_text(6);
     let mut unpaired = Vec::new();
     for one in compared {
@@ -284,7 +286,7 @@ fn compared_conditions(compared: &[Comparison]) -> String {
 /// What a comparison shows, as a paragraph.
 fn sentence(compared: &Comparison) -> String {
     let conclusion = &compared.conclusion;
-    let holds = format!("This holds {}.", conclusion.robustness.in_words());
+    let holds = conclusion.robustness.in_words();
     wrapped(&format!("{} {holds}", conclusion.sentence)) + "\n"
 }
 

@@ -774,11 +774,46 @@ fn figures_that_differ_are_above_or_below_and_facts_are_compared() {
 }
 
 #[test]
+fn fractions_and_unknown_task_groups_are_suspected() {
+    let log = made_up(&only(&["episodic/new/unchanged/4"]), &[1, 9]);
+    let suspected = |figures: &str| -> Vec<String> {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("figures.toml");
+        let text = format!(
+            "title = \"t\"\npolicy = \"p\"\n[[condition]]\nname = \"episodic/new/unchanged/4\"\n{figures}\n"
+        );
+        fs::write(&file, text).unwrap();
+        let document = reproduction(&log, &Published::read(&file).unwrap());
+        let section =
+            document.sections.iter().find(|section| section.id == "s-reproduction").unwrap();
+        let notices = section.blocks.iter().filter_map(|block| match block {
+            ReportBlock::Notice(text) => Some(text.clone()),
+            _ => None,
+        });
+        // The first says how many figures lie in the run's intervals.
+        notices.skip(1).collect()
+    };
+    let fractions = "No published percentage is above 1. The format has percentages from 0 to 100: if these are fractions, nothing \
+                     below is true of them.";
+    assert_eq!(suspected("sr = 0.66\ngroups = { basic = 1.0 }"), [fractions]);
+    for fine in ["sr = 66\ngroups = { basic = 0.5 }", "sr = 0", "spl = 0.5", "sr = 1.5"] {
+        assert!(suspected(fine).is_empty(), "{fine}");
+    }
+    let [unknown] = &suspected("sr = 66\ngroups = { basc = 50, revisit = 50 }")[..] else {
+        panic!("one notice")
+    };
+    assert!(
+        unknown.starts_with("The world of this run has no task group basc; it has basic, "),
+        "{unknown}"
+    );
+}
+
+#[test]
 fn nothing_in_common_is_said() {
     let log = made_up(&only(&["episodic/new/unchanged/4"]), &[1]);
     let published = own_figures(&log, |text| text.replace("episodic/new/", "hybrid/new/"));
     let document = reproduction(&log, &published);
-    insta::assert_snapshot!(notice_of_reproduction(&document), @"No published figure has an interval in this run. This run has 0 of 1 published conditions.");
+    insta::assert_snapshot!(notice_of_reproduction(&document), @"This run has none of the published conditions.");
     assert!(document.tables().all(|table| table.id != "reproduction"));
     rows_are_whole(&document);
 }

@@ -218,11 +218,6 @@ pub(super) fn signed(value: f64, digits: usize) -> String {
     }
 }
 
-/// Formats a p value: never as zero.
-pub(super) fn p_value(p: f64) -> String {
-    if p < 0.001 { "<0.001".to_owned() } else { format!("{p:.3}") }
-}
-
 /// Columns of success rate and SPL for each of `settings`.
 pub(super) fn rate_columns(settings: &[&str]) -> Vec<TableColumn> {
     let both = |over: &&str| [TableColumn::under(*over, "SR %"), TableColumn::under(*over, "SPL")];

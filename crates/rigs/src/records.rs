@@ -414,6 +414,7 @@ pub fn log(episodes: Vec<EpisodeRecord>) -> RunLog {
         name: "run".to_owned(),
         manifest: Manifest { episodes: episodes.len() as u32, ..manifest() },
         world: world(),
+        cases: BTreeMap::new(),
         timings: episodes.iter().map(timings).collect(),
         episodes,
         requests: Vec::new(),

@@ -1,9 +1,10 @@
 //! What of an episode's record follows from its run: from the seed and, where the run's folder has the case book, from the
 //! cases.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use case_book::{BookError, BookFile, CASE_BOOK_FILE, CaseBook, WorldFacts};
+use case_book::{BookError, BookFile, CASE_BOOK_FILE, CaseBook, CaseFacts, WorldFacts};
 
 use super::{EpisodeRecord, Manifest, PlannedFacts};
 
@@ -29,6 +30,12 @@ impl KnownFacts {
     /// What the case book says about the world.
     pub(super) fn world(&self) -> WorldFacts {
         self.book.as_ref().map(|book| book.world.clone()).unwrap_or_default()
+    }
+
+    /// The cases of the case book, by id.
+    pub(super) fn cases(&self) -> BTreeMap<String, CaseFacts> {
+        let cases = self.book.iter().flat_map(|book| &book.cases);
+        cases.map(|case| (case.id.clone(), case.clone())).collect()
     }
 
     /// Checks the seed, the task and the reference of a record whose fields make its key.
@@ -67,7 +74,7 @@ mod tests {
 
     use super::*;
     use crate::records::{manifest, record, world};
-    use case_book::{CaseFacts, Reference};
+    use case_book::Reference;
 
     fn book() -> CaseBook {
         let reference = Reference {

@@ -28,6 +28,8 @@ pub const PROMPT_HASH: &str = "prompt";
 
 /// The name of the hash of the case book.
 pub const CASE_BOOK_HASH: &str = "case-book";
+/// The name of the hash of what a world's cases are made from, where the world has one.
+pub(super) const CASES_HASH: &str = "cases";
 
 /// The name of the hash of the demonstrations.
 pub const DEMONSTRATIONS_HASH: &str = "demonstrations";
@@ -239,7 +241,7 @@ fn file_facts<'a>(
 }
 
 /// The key of a hash among the [differences](Manifest::differences).
-fn contents_of(name: &str) -> String {
+pub(super) fn contents_of(name: &str) -> String {
     format!("contents of {name}")
 }
 
@@ -379,8 +381,8 @@ impl Manifest {
     /// What two runs must have in common for their figures to be comparable: the suite, the world and how it looks, the
     /// cases, the seed, the limits of an episode, and the version of the program. Policy and memory are not among it, because
     /// they are what is compared; neither are conditions and repetitions, which a figure names.
-    pub fn protocol(&self) -> BTreeMap<String, Value> {
-        const CONTENTS: [&str; 4] = ["layout", "catalogue", "cases", ELSEWHERE_HASH];
+    pub(super) fn protocol(&self) -> BTreeMap<String, Value> {
+        const CONTENTS: [&str; 4] = ["layout", "catalogue", CASES_HASH, ELSEWHERE_HASH];
         let settings = self.settings_by_key().into_iter();
         let mut protocol: BTreeMap<String, Value> =
             settings.filter(|(key, _)| Key::is_of_protocol(key)).collect();
@@ -389,12 +391,6 @@ impl Manifest {
         protocol.insert("suite".to_owned(), self.settings.suite.word().into());
         protocol.insert("version".to_owned(), self.version.clone().into());
         protocol
-    }
-
-    /// The first eight digits of the hash of the [protocol](Self::protocol), which stand for it.
-    pub fn protocol_id(&self) -> String {
-        let protocol = serde_json::Value::from_iter(self.protocol()).to_string();
-        blake3::hash(protocol.as_bytes()).to_hex()[..8].to_owned()
     }
 
     fn settings_by_key(&self) -> Map<String, Value> {

@@ -3,13 +3,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use case_book::WorldFacts;
+use case_book::{CaseFacts, WorldFacts};
+use serde_json::Value;
 
 use super::check::check_records;
 use super::files::{EPISODES_FILE, ERRORS_FILE, REQUESTS_FILE, SESSIONS_FILE, TIMINGS_FILE};
 use super::journal::unchecked;
 use super::known::KnownFacts;
-use super::manifest::MANIFEST_FILE;
+use super::manifest::{CASES_HASH, MANIFEST_FILE, contents_of};
 use super::{
     DamagedLine, EpisodeError, EpisodeRecord, EpisodeTimings, LogError, Manifest, RequestRecord,
     SessionRecord, read_journal,
@@ -27,6 +28,8 @@ pub struct RunLog {
     pub manifest: Manifest,
     /// The world, from the case book; the default for a run that was killed before the world wrote that.
     pub world: WorldFacts,
+    /// The cases, by id, from the case book; none where [`world`](Self::world) is the default.
+    pub cases: BTreeMap<String, CaseFacts>,
     /// Finished episodes, by key.
     pub episodes: Vec<EpisodeRecord>,
     /// Their timings, by key.
@@ -116,6 +119,7 @@ impl RunLog {
             name: last_parts(dir, 1),
             manifest,
             world: known.world(),
+            cases: known.cases(),
             episodes: Vec::new(),
             timings: Vec::new(),
             requests: Vec::new(),
@@ -132,9 +136,39 @@ impl RunLog {
         told.chain(self.episodes.iter().map(|one| (one.case.as_str(), one.task))).collect()
     }
 
+    /// What two runs must have in common for their figures to be comparable: [that of their manifests](Manifest::protocol), and
+    /// of a world that does not hash what its cases are made from, its name and the cases.
+    pub fn protocol(&self) -> BTreeMap<String, Value> {
+        let mut protocol = self.manifest.protocol();
+        if !self.manifest.hashes.contains_key(CASES_HASH) && !self.cases.is_empty() {
+            let cases = serde_json::to_string(&self.cases).unwrap_or_default();
+            let hash = blake3::hash(cases.as_bytes()).to_hex().to_string();
+            protocol.insert("world".to_owned(), self.world.declaration.name.clone().into());
+            protocol.insert(contents_of(CASES_HASH), hash.into());
+        }
+        protocol
+    }
+
+    /// The first eight digits of the hash of the [protocol](Self::protocol), which stand for it.
+    pub fn protocol_id(&self) -> String {
+        let protocol = Value::from_iter(self.protocol()).to_string();
+        blake3::hash(protocol.as_bytes()).to_hex()[..8].to_owned()
+    }
+
     /// The timings of the finished episodes, by key.
     pub fn timings_by_key(&self) -> BTreeMap<&str, &EpisodeTimings> {
         self.timings.iter().map(|timings| (timings.key.as_str(), timings)).collect()
+    }
+
+    /// Whether both are the log of one run: their folders are the same.
+    pub fn is_same_run(&self, other: &Self) -> bool {
+        let folder = |log: &Self| log.dir.canonicalize().ok();
+        std::ptr::eq(self, other) || folder(self).is_some_and(|own| folder(other) == Some(own))
+    }
+
+    /// Whether every planned episode is finished.
+    pub fn is_complete(&self) -> bool {
+        self.episodes.len() >= self.manifest.episodes as usize
     }
 
     /// When the run began, in seconds since 1970.

@@ -73,6 +73,42 @@ pub enum CompareError {
         /// The content that differs: layout, catalogue or cases.
         what: String,
     },
+    /// The runs are of worlds with other names.
+    #[error(
+        "{a} was run in the world {world_of_a} and {b} in the world {world_of_b}, so their cases cannot be paired"
+    )]
+    OtherWorldName {
+        /// One run's folder.
+        a: String,
+        /// The other's.
+        b: String,
+        /// The name of its world.
+        world_of_a: String,
+        /// That of the other's.
+        world_of_b: String,
+    },
+    /// Cases have the same id and differ in task, instruction, start or reference.
+    #[error(
+        "{a} and {b} call other cases by the same ids, so their cases cannot be paired: {} of the {shared} in both differ ({})",
+        differing.len(),
+        in_short(differing)
+    )]
+    OtherCases {
+        /// One run's folder.
+        a: String,
+        /// The other's.
+        b: String,
+        /// The ids of the cases that differ.
+        differing: Vec<String>,
+        /// The number of ids that both have.
+        shared: usize,
+    },
+    /// Both sides are the same.
+    #[error("{side} cannot be compared with itself")]
+    Same {
+        /// The run's folder, or the condition.
+        side: String,
+    },
 }
 
 /// The number of names in a message; of more, the rest is a count.
@@ -106,7 +142,10 @@ pub fn pair_conditions<'a>(
     b: (&'a RunLog, &str),
 ) -> Result<Pairing<'a>, CompareError> {
     can_be_paired(a.0, b.0)?;
-    let is_same_run = std::ptr::eq(a.0, b.0);
+    let is_same_run = a.0.is_same_run(b.0);
+    if is_same_run && a.1 == b.1 {
+        return Err(CompareError::Same { side: a.1.to_owned() });
+    }
     let side = |(log, name): (&'a RunLog, &str)| -> Result<Side<'a>, UnknownName> {
         let conditions = finished_conditions(log);
         let found = conditions.iter().find(|condition| condition.to_string() == name);
@@ -170,7 +209,7 @@ impl LeftOutConditions {
 /// # Errors
 /// When they have none in common, or no case of one.
 pub fn pair_runs<'a>(a: &'a RunLog, b: &'a RunLog) -> Result<PairedRuns<'a>, CompareError> {
-    can_be_paired(a, b)?;
+    are_two_runs(a, b)?;
     let (of_a, of_b) = (finished_conditions(a), finished_conditions(b));
     let names = |conditions: &BTreeSet<Condition>| -> Vec<String> {
         conditions.iter().map(ToString::to_string).collect()
@@ -270,20 +309,50 @@ fn learned_difference(a: &RunLog, b: &RunLog, fact: &str) -> Option<Difference> 
 /// Whether cases with the same id are the same in both runs, and each episode stands for itself.
 pub(super) fn can_be_paired(a: &RunLog, b: &RunLog) -> Result<(), CompareError> {
     if let Some(log) = [a, b].into_iter().find(|log| log.manifest.settings.stream.is_some()) {
-        return Err(CompareError::OfStreams { run: log.dir.display().to_string() });
+        return Err(CompareError::OfStreams { run: folder(log) });
     }
     let hash = |log: &RunLog, what: &str| log.manifest.hashes.get(what).cloned();
     for what in ["layout", "catalogue", "cases"] {
         if hash(a, what) != hash(b, what) {
-            let (a, b) = (a.dir.display().to_string(), b.dir.display().to_string());
+            let [a, b] = [a, b].map(folder);
             return Err(CompareError::OtherWorld { a, b, what: what.to_owned() });
         }
+    }
+    // The name is empty before the world has told it.
+    let [world_of_a, world_of_b] = [a, b].map(|log| log.world.declaration.name.clone());
+    if world_of_a != world_of_b && !world_of_a.is_empty() && !world_of_b.is_empty() {
+        let [a, b] = [a, b].map(folder);
+        return Err(CompareError::OtherWorldName { a, b, world_of_a, world_of_b });
+    }
+    let shared = || a.cases.iter().filter_map(|(id, case)| Some((id, case, b.cases.get(id)?)));
+    let differing = shared().filter(|(_, of_a, of_b)| !of_a.is_same_case(of_b));
+    let differing: Vec<String> = differing.map(|(id, _, _)| id.clone()).collect();
+    if !differing.is_empty() {
+        let shared = shared().count();
+        let [a, b] = [a, b].map(folder);
+        return Err(CompareError::OtherCases { a, b, differing, shared });
     }
     Ok(())
 }
 
+/// Whether the two are different runs that can be paired.
+pub(super) fn are_two_runs(a: &RunLog, b: &RunLog) -> Result<(), CompareError> {
+    if a.is_same_run(b) {
+        return Err(CompareError::Same { side: folder(a) });
+    }
+    can_be_paired(a, b)
+}
+
+fn folder(log: &RunLog) -> String {
+    log.dir.display().to_string()
+}
+
 #[cfg(test)]
 mod tests {
+    use case_book::{CaseFacts, Reference};
+    use conditions::{Route, Start};
+    use domain::State;
+
     use super::*;
     use rigs::records::{
         log, model_document, model_settings, record, script_document, stream_log, stream_record,
@@ -331,5 +400,65 @@ mod tests {
         let streams = stream_log(vec![stream_record("a", true)], [2, 1, 2]);
         let error = compare_runs(&a, &streams).unwrap_err();
         insta::assert_snapshot!(error, @"run consists of streams, whose episodes cannot be paired case by case; `memtransfer score run` compares its conditions by stream");
+    }
+
+    fn case(id: &str, instruction: &str, length: u32) -> CaseFacts {
+        let reference = Reference {
+            start: Start::Original,
+            route: Route::Unchanged,
+            begin: State::new(&[0.0]).unwrap(),
+            actions: Vec::new(),
+            length,
+        };
+        CaseFacts {
+            id: id.to_owned(),
+            task: 1,
+            instruction: instruction.to_owned(),
+            paraphrase: None,
+            references: vec![reference],
+            invalidated_when_blocked: false,
+        }
+    }
+
+    #[test]
+    fn cases_that_share_only_their_ids_are_not_paired() {
+        // Worlds of other programs hash nothing, and number their cases from 1.
+        let run = |folder: &str, cases: &[CaseFacts]| {
+            let mut log = log(vec![record("a", true), record("b", true)]);
+            log.manifest.hashes.clear();
+            log.dir = folder.into();
+            log.cases = cases.iter().map(|case| (case.id.clone(), case.clone())).collect();
+            log
+        };
+        let cases = [case("a", "Go to the door.", 9), case("b", "Open the drawer.", 7)];
+        let first = run("first", &cases);
+        let mut grown = run("grown", &[&cases[..], &[case("c", "Push.", 4)]].concat());
+        assert_eq!(compare_runs(&first, &grown).unwrap()[0].pairs, 2);
+        // A start that only one run tests makes no other case.
+        grown.cases.get_mut("a").unwrap().references.clear();
+        assert_eq!(compare_runs(&first, &grown).unwrap()[0].pairs, 2);
+        let changed = [case("a", "Go to the window.", 9), case("b", "Open the drawer.", 8)];
+        for (other, count) in [
+            ([cases[0].clone(), changed[1].clone()], "1 of the 2"),
+            (changed.clone(), "2 of the 2"),
+        ] {
+            let error = compare_runs(&first, &run("other", &other)).unwrap_err().to_string();
+            let expected = "first and other call other cases by the same ids, so their cases cannot be paired: ";
+            assert!(error.starts_with(&format!("{expected}{count} in both differ (")), "{error}");
+        }
+        let mut elsewhere = run("elsewhere", &cases);
+        elsewhere.world.declaration.name = "kitchen".to_owned();
+        let error = compare_runs(&first, &elsewhere).unwrap_err();
+        insta::assert_snapshot!(error, @"first was run in the world warehouse and elsewhere in the world kitchen, so their cases cannot be paired");
+    }
+
+    #[test]
+    fn nothing_is_compared_with_itself() {
+        let run = log(vec![record("a", true)]);
+        let error = compare_runs(&run, &run).unwrap_err();
+        insta::assert_snapshot!(error, @"run cannot be compared with itself");
+        let name = run.episodes[0].condition().to_string();
+        let error = compare_conditions((&run, &name), (&run, &name)).unwrap_err();
+        assert_eq!(error.to_string(), format!("{name} cannot be compared with itself"));
     }
 }

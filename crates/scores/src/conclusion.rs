@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::comparison::Counts;
-use super::sign_test::{CorrectedSignTest, MOST_CASES, is_shown};
+use super::sign_test::{CorrectedSignTest, LEVEL, MOST_CASES, is_shown};
 
 /// What a comparison shows of the first configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -73,6 +73,15 @@ pub(super) struct Tested {
     pub(super) points_of_unequal_case: f64,
 }
 
+/// A p value as it is printed: never as zero, and below 5 % never as 5 %.
+pub fn p_value(p: f64) -> String {
+    match p {
+        p if p < 0.001 => "<0.001".to_owned(),
+        p if p < LEVEL && format!("{p:.3}") == "0.050" => "<0.050".to_owned(),
+        p => format!("{p:.3}"),
+    }
+}
+
 impl Conclusion {
     pub(super) fn new(
         tested: &Tested,
@@ -117,12 +126,21 @@ impl Conclusion {
             none if ["+0.0", "-0.0"].contains(&none.as_str()) => "0.0".to_owned(),
             some => some.replace('-', "−"),
         };
-        let p = match self.corrected_p {
-            p if p < 0.001 => "p < 0.001".to_owned(),
-            p => format!("p = {p:.3}"),
+        let p = match p_value(self.corrected_p) {
+            least if least.starts_with('<') => format!("p < {}", &least[1..]),
+            p => format!("p = {p}"),
         };
         let corrected = if self.family > 1 { "corrected " } else { "" };
-        let found = format!("{found}: {difference} points, {corrected}{p}.");
+        let Counts { more_under_a: better, more_under_b: worse } = counts;
+        // With several repetitions the cases may say other than their mean.
+        let is_opposed = (better > worse && points < 0.0) || (better < worse && points > 0.0);
+        let found = match is_opposed {
+            false => format!("{found}: {difference} points, {corrected}{p}."),
+            true => format!(
+                "{found}: {better} cases are better and {worse} worse, although the mean difference is {difference} points; \
+                 {corrected}{p}."
+            ),
+        };
         if self.verdict != ComparisonVerdict::NoDifferenceShown {
             return found;
         }
@@ -131,16 +149,15 @@ impl Conclusion {
                 format!("With a probability of 80 %, {points:.1} points would be shown")
             }
             (None, Some(least)) if cases < least as usize => {
-                format!("Fewer than {least} cases can show no difference")
+                format!("At least {least} cases are needed to show any difference")
             }
             (None, _) => "No difference would be shown with a probability of 80 %".to_owned(),
         };
+        let observed = if is_opposed { "what the cases say" } else { "this difference" };
         let needed = match self.more_cases {
-            Some(more) => format!("this difference would take about {more} more cases"),
-            None if counts.more_under_a == counts.more_under_b => {
-                "as many cases are better as worse".to_owned()
-            }
-            None => format!("this difference would take more than {MOST_CASES} cases"),
+            Some(more) => format!("to show {observed} would take about {more} more cases"),
+            None if better == worse => "as many cases are better as worse".to_owned(),
+            None => format!("to show {observed} would take more than {MOST_CASES} cases"),
         };
         format!("{found} {would_be_shown}; {needed}.")
     }
@@ -212,11 +229,12 @@ impl Robustness {
         changing.join(", ")
     }
 
-    /// What the verdict rests on, in words: `except without return loops, task 9`, `without any one group, task or case`.
+    /// What the verdict rests on, as a sentence: `This holds except without return loops, task 9.`, `This holds without any one
+    /// group, task or case.`
     pub fn in_words(&self) -> String {
         let changing = self.changing();
         if !changing.is_empty() {
-            return format!("except without {changing}");
+            return format!("This holds except without {changing}.");
         }
         let kinds = [
             (&self.groups, "group"),
@@ -230,9 +248,11 @@ impl Robustness {
             .map(|(_, kind)| kind)
             .collect();
         match tried.split_last() {
-            None => "as there is one case only".to_owned(),
-            Some((last, [])) => format!("without any one {last}"),
-            Some((last, others)) => format!("without any one {} or {last}", others.join(", ")),
+            None => "Nothing can be left out: there is one case only.".to_owned(),
+            Some((last, [])) => format!("This holds without any one {last}."),
+            Some((last, others)) => {
+                format!("This holds without any one {} or {last}.", others.join(", "))
+            }
         }
     }
 }

@@ -16,7 +16,7 @@ use domain::names::{UnknownName, named};
 use run_log::RunLog;
 use serde::Serialize;
 
-use super::compare::{CompareError, can_be_paired};
+use super::compare::{CompareError, are_two_runs};
 use super::comparison::{Pairing, Side};
 use super::condition::ConditionScore;
 use super::interval::Interval;
@@ -76,7 +76,8 @@ impl GateFigure {
     const fn range(self) -> Interval {
         match self {
             Self::SuccessRate | Self::Follow | Self::Recovery => Interval::PERCENT,
-            Self::Change => Interval::POINTS,
+            // The difference of two differences of rates.
+            Self::Change => Interval { low: -200.0, high: 200.0 },
             Self::PathLength => Interval::SHARE,
             Self::Retention => Interval::POSITIVE,
         }
@@ -169,6 +170,39 @@ pub enum BadGate {
         /// The bound.
         bound: f64,
     },
+    /// Every value of the figure satisfies it.
+    #[error("every value of {figure} is {operator} {bound}, so this requires nothing")]
+    Always {
+        /// The figure.
+        figure: GateFigure,
+        /// The operator.
+        operator: GateOperator,
+        /// The bound.
+        bound: f64,
+    },
+    /// No value of the figure satisfies it.
+    #[error("no value of {figure} is {operator} {bound}, so this cannot be passed")]
+    Never {
+        /// The figure.
+        figure: GateFigure,
+        /// The operator.
+        operator: GateOperator,
+        /// The bound.
+        bound: f64,
+    },
+    /// A bound without a unit that may be meant as a fraction.
+    #[error("{figure} is in percent: write `{} %`, or `{bound} %` if that is meant", rounded(bound * 100.0))]
+    Fraction {
+        /// The figure.
+        figure: GateFigure,
+        /// The bound.
+        bound: f64,
+    },
+}
+
+/// Without the digits that come from a fraction's rounding.
+fn rounded(percent: f64) -> f64 {
+    (percent * 1e6).round() / 1e6
 }
 
 fn unit_words(figure: GateFigure) -> String {
@@ -190,7 +224,8 @@ impl FromStr for Gate {
         let (figure, rest) = required.split_at(begin);
         let end = rest.find(|c| !of_operator(c)).ok_or_else(parts)?;
         let (operator, bound) = rest.split_at(end);
-        let (figure, operator) = (figure.trim().parse::<GateFigure>()?, operator.parse()?);
+        let (figure, operator) =
+            (figure.trim().parse::<GateFigure>()?, operator.parse::<GateOperator>()?);
         // Reports print a typographic minus.
         let bound = bound.trim().replace('−', "-");
         let is_of_number = |c: char| c.is_ascii_digit() || ['.', '-', '+'].contains(&c);
@@ -207,6 +242,18 @@ impl FromStr for Gate {
         let Interval { low, high } = figure.range();
         if !(low..=high).contains(&number) {
             return Err(BadGate::Range { figure, bound: number });
+        }
+        if unit.is_empty()
+            && figure.unit() == GateFigure::SuccessRate.unit()
+            && number > 0.0
+            && number <= 1.0
+        {
+            return Err(BadGate::Fraction { figure, bound: number });
+        }
+        match (operator.holds(low, number), operator.holds(high, number)) {
+            (true, true) => return Err(BadGate::Always { figure, operator, bound: number }),
+            (false, false) => return Err(BadGate::Never { figure, operator, bound: number }),
+            _ => {}
         }
         Ok(Self { condition, figure, operator, bound: number })
     }
@@ -351,7 +398,7 @@ pub fn no_worse_than(
     (base, base_scores): (&RunLog, &Scores),
     margin: f64,
 ) -> Result<Vec<GateResult>, GateError> {
-    can_be_paired(log, base)?;
+    are_two_runs(log, base)?;
     let required = conditions(base, base_scores);
     if required.is_empty() {
         return Err(GateError::NoCondition { run: base.dir.display().to_string() });

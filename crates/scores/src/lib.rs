@@ -67,7 +67,7 @@ mod worst;
 pub use asked::{AskedComparison, AskedComparisons, Question};
 pub use blocked::{BlockedScore, Derived};
 pub use comparison::{Comparison, FigureDifference, Pairing, Side, conclude};
-pub use conclusion::{ChangedVerdict, ComparisonVerdict, Conclusion, LeftOut, Robustness};
+pub use conclusion::{ChangedVerdict, ComparisonVerdict, Conclusion, LeftOut, Robustness, p_value};
 pub use condition::{Bounds, ConditionScore};
 pub use conflict::HISTORIES;
 pub use controls::{CertifiedSuccess, ControlCondition, ControlNecessity, ControlScore};

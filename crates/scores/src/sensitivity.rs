@@ -4,8 +4,8 @@ use conditions::{Condition, Mismatch};
 use run_log::RunLog;
 use serde::Serialize;
 
-use super::compare::compare_conditions;
-use super::comparison::Comparison;
+use super::compare::pair_conditions;
+use super::comparison::{Comparison, conclude};
 use super::trial::Trials;
 
 /// What a mismatch costs under a condition.
@@ -26,13 +26,15 @@ pub(super) fn sensitivity(log: &RunLog) -> Vec<Sensitivity> {
     let of = |mismatched: &Condition| {
         let condition = mismatched.with_mismatch(Mismatch::None);
         let names = [condition, *mismatched].map(|condition| condition.to_string());
-        let loss = compare_conditions((log, &names[0]), (log, &names[1])).ok()?;
-        Some(Sensitivity { condition, mismatch: mismatched.mismatch, loss })
+        let pairing = pair_conditions((log, &names[0]), (log, &names[1])).ok()?;
+        Some(((condition, mismatched.mismatch), pairing))
     };
     let mismatched = trials.keys().filter(|condition| condition.mismatch != Mismatch::None);
-    let mut found: Vec<Sensitivity> = mismatched.filter_map(of).collect();
-    found.sort_by_key(|one| (one.condition, one.mismatch));
-    found
+    let mut found: Vec<_> = mismatched.filter_map(of).collect();
+    found.sort_by_key(|(key, _)| *key);
+    let (keys, pairings): (Vec<_>, Vec<_>) = found.into_iter().unzip();
+    let made = keys.into_iter().zip(conclude(pairings));
+    made.map(|((condition, mismatch), loss)| Sensitivity { condition, mismatch, loss }).collect()
 }
 
 #[cfg(test)]
@@ -40,7 +42,7 @@ mod tests {
     use rigs::records::{log, record, under};
 
     use super::*;
-    use crate::score;
+    use crate::{ComparisonVerdict, score};
 
     /// Three pairs, of which two are lost: the values 0, 100 and 100 with -100 and 100 added have the mean 40 and, with
     /// Q = 32000 and 4 degrees of freedom, t = 2.776445, the half-width 111.06.
@@ -74,5 +76,27 @@ mod tests {
         let interval = found.loss.sr.interval.unwrap();
         near(interval.low, -71.06);
         near(interval.high, 100.0);
+    }
+
+    #[test]
+    fn the_losses_of_a_run_are_one_family() {
+        // Six of six cases are lost to each of two mismatches: 2 / 2^6 alone, twice that together, which shows neither.
+        let standard: Condition = "episodic/new/unchanged/original".parse().unwrap();
+        let mut records = Vec::new();
+        for case in ["t01-01", "t01-02", "t01-03", "t01-04", "t01-05", "t01-06"] {
+            records.push(under(standard, record(case, true)));
+            for mismatch in [Mismatch::Light, Mismatch::Labels] {
+                records.push(under(standard.with_mismatch(mismatch), record(case, false)));
+            }
+        }
+        let scores = score(&log(records));
+        for one in &scores.sensitivity {
+            let conclusion = &one.loss.conclusion;
+            assert_eq!(conclusion.family, 2);
+            assert!((one.loss.p - 0.03125).abs() < 1e-12, "{}", one.loss.p);
+            assert!((conclusion.corrected_p - 0.0625).abs() < 1e-12, "{}", conclusion.corrected_p);
+            assert_eq!(conclusion.verdict, ComparisonVerdict::NoDifferenceShown);
+        }
+        assert_eq!(scores.sensitivity.len(), 2);
     }
 }

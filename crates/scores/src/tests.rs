@@ -1,6 +1,7 @@
 //! Every figure, computed by hand for small logs.
 
 use super::*;
+use crate::conclusion::p_value;
 use conditions::{Demonstrations, Route, SegmentContent, Start};
 use domain::Representation;
 use rigs::records::{keyed, log, record};
@@ -441,12 +442,12 @@ fn a_conclusion_says_what_it_rests_on() {
     assert_eq!((tasks.parts, changed(tasks)), (2, vec!["1".to_owned()]));
     assert_eq!((repetitions.parts, changed(repetitions)), (2, vec![]));
     assert_eq!((cases.parts, changed(cases).len()), (20, 6));
-    insta::assert_snapshot!(found.robustness.in_words(), @"except without basic, task 1, any of 6 of 20 cases");
+    insta::assert_snapshot!(found.robustness.in_words(), @"This holds except without basic, task 1, any of 6 of 20 cases.");
     insta::assert_snapshot!(found.sentence, @"Better: +30.0 points, p = 0.031.");
 
     // 7 better: one case less is enough still.
     let found = compared(robust_pair(7)).unwrap().conclusion;
-    insta::assert_snapshot!(found.robustness.in_words(), @"except without basic, task 1");
+    insta::assert_snapshot!(found.robustness.in_words(), @"This holds except without basic, task 1.");
 }
 
 #[test]
@@ -464,21 +465,45 @@ fn where_no_difference_is_shown_the_conclusion_says_what_could_have_been() {
         format!("{sentence}\n    {}", robustness.in_words())
     });
     insta::assert_snapshot!(shown.join("\n"), @"
-    No difference shown: +6.0 points, p = 0.238. With a probability of 80 %, 12.1 points would be shown; this difference would take about 315 more cases.
-        without any one case
+    No difference shown: +6.0 points, p = 0.238. With a probability of 80 %, 12.1 points would be shown; to show this difference would take about 315 more cases.
+        This holds without any one case.
     No difference shown: 0.0 points, p = 1.000. With a probability of 80 %, 7.8 points would be shown; as many cases are better as worse.
-        without any one case
-    No difference shown: +0.3 points, p = 1.000. With a probability of 80 %, 9.6 points would be shown; this difference would take more than 10000 cases.
-        without any one case
-    No difference shown: +40.0 points, p = 0.500. Fewer than 6 cases can show no difference; this difference would take about 14 more cases.
-        without any one case
+        This holds without any one case.
+    No difference shown: +0.3 points, p = 1.000. With a probability of 80 %, 9.6 points would be shown; to show this difference would take more than 10000 cases.
+        This holds without any one case.
+    No difference shown: +40.0 points, p = 0.500. At least 6 cases are needed to show any difference; to show this difference would take about 14 more cases.
+        This holds without any one case.
     No difference shown: 0.0 points, p = 1.000. With a probability of 80 %, 96.3 points would be shown; as many cases are better as worse.
-        without any one case
+        This holds without any one case.
     Worse: −100.0 points, p = 0.004.
-        without any one case
-    No difference shown: +100.0 points, p = 1.000. Fewer than 6 cases can show no difference; this difference would take about 5 more cases.
-        as there is one case only
+        This holds without any one case.
+    No difference shown: +100.0 points, p = 1.000. At least 6 cases are needed to show any difference; to show this difference would take about 5 more cases.
+        Nothing can be left out: there is one case only.
     ");
+}
+
+#[test]
+fn where_the_cases_and_their_mean_disagree_the_conclusion_says_so() {
+    let opposed = |better: usize, cases: usize| {
+        // Better by one repetition of three, and worse by all three.
+        let mut records =
+            repeated(Representation::Episodic, cases, 3, |case, run| case < better && run == 1);
+        records.extend(repeated(Representation::Working, cases, 3, |case, _| case >= better));
+        compared(records).unwrap().conclusion.sentence
+    };
+    // (18/3 - 7) / 25 = -4 points; p of 7 among 25 throws: 2 * 726206 / 2^25.
+    insta::assert_snapshot!(opposed(18, 25), @"Better: 18 cases are better and 7 worse, although the mean difference is −4.0 points; p = 0.043.");
+    // (10/3 - 4) / 14, and 2 * 1471 / 2^14.
+    let sentence = opposed(10, 14);
+    let found = "No difference shown: 10 cases are better and 4 worse, although the mean difference is −4.8 points; p = 0.180. ";
+    assert!(sentence.starts_with(found), "{sentence}");
+    assert!(sentence.contains("; to show what the cases say would take about "), "{sentence}");
+}
+
+#[test]
+fn a_p_below_5_percent_is_never_printed_as_5_percent() {
+    let shown = [0.0004, 0.001, 0.0494, 0.04951, 0.05, 0.0504, 1.0].map(p_value);
+    assert_eq!(shown, ["<0.001", "0.001", "0.049", "<0.050", "0.050", "0.050", "1.000"]);
 }
 
 #[test]

@@ -3,11 +3,11 @@
 use conditions::{Condition, Route, Start};
 use domain::Arm;
 use scores::{
-    AskedComparison, Comparison, ComparisonVerdict, FigureDifference, Question, Robustness,
+    AskedComparison, Comparison, ComparisonVerdict, FigureDifference, Question, Robustness, p_value,
 };
 
 use crate::document::{ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
-use crate::view::{ScoredRun, p_value, signed, with_interval};
+use crate::view::{ScoredRun, signed, with_interval};
 
 /// A comparison as a row.
 #[derive(Debug, Clone)]
@@ -92,7 +92,7 @@ impl ComparedRows<'_> {
 
     /// What the comparisons show, in columns that are narrow enough for a terminal.
     pub(crate) fn verdicts(&self) -> Option<Table> {
-        let columns = ["Verdict", "Points", "p", "Shown", "More", "Changes without"];
+        let columns = ["Verdict", "Points", "Corrected p", "Shown", "More", "Changes without"];
         let columns = columns.map(TableColumn::new).to_vec();
         let cells = |compared: &Comparison| Some(verdict(compared).map(TableCell::Value).to_vec());
         let table = self.table((String::new(), String::new()), columns, cells)?;

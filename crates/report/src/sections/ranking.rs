@@ -33,14 +33,14 @@ pub(crate) fn ranking(views: &[ScoredRun<'_>]) -> ReportSection {
             )));
             continue;
         }
-        let key = (manifest.settings.suite.to_string(), manifest.protocol_id());
+        let key = (manifest.settings.suite.to_string(), view.log.protocol_id());
         by_protocol.entry(key).or_default().push(view);
     }
     let mut first_of_suite: BTreeMap<&str, (&str, Protocol)> = BTreeMap::new();
     let mut number = 0;
     for ((suite, id), views) in &by_protocol {
         let Some(view) = views.first() else { continue };
-        let protocol = view.log.manifest.protocol();
+        let protocol = view.log.protocol();
         match first_of_suite.get(suite.as_str()) {
             None => {
                 first_of_suite.insert(suite, (id, protocol));
@@ -63,7 +63,7 @@ pub(crate) fn ranking(views: &[ScoredRun<'_>]) -> ReportSection {
     }
     // Below the tables: a result is on the first screen, also of a phone.
     blocks.push(ReportBlock::Text(
-        "Conditions of runs with the same protocol: suite, warehouse, cases, seed, limits, look of frames and version of the \
+        "Conditions of runs with the same protocol: suite, world, cases, seed, limits, look of frames and version of the \
          program. Policy and memory are compared. Mean ± sample standard deviation over runs, 95 % interval. Where intervals \
          overlap, the order may be chance: the paired comparisons of the runs say more."
             .to_owned(),
@@ -323,6 +323,32 @@ mod tests {
         let (tables, notices) = ranked(&[logs[0].clone(), unit]);
         assert_eq!(tables, [["weak"]]);
         assert!(notices[0].contains("unit is not ranked: it is unit 3 of a plan"), "{notices:?}");
+    }
+
+    #[test]
+    fn runs_of_other_worlds_without_hashes_are_apart() {
+        let run = |name: &str, world: &str, instruction: &str| {
+            let mut log = log(vec![record("a", true)]);
+            log.manifest.hashes.clear();
+            log.world.declaration.name = world.to_owned();
+            let case = case_book::CaseFacts {
+                id: "a".to_owned(),
+                task: 1,
+                instruction: instruction.to_owned(),
+                paraphrase: None,
+                references: Vec::new(),
+                invalidated_when_blocked: false,
+            };
+            log.cases.insert("a".to_owned(), case);
+            named(name, log)
+        };
+        let door = "Go to the door.";
+        let logs = [run("first", "kitchen", door), run("same", "kitchen", door)];
+        assert_eq!(ranked(&logs).0.len(), 1);
+        for other in [run("other", "cellar", door), run("other", "kitchen", "Open it.")] {
+            let (tables, notices) = ranked(&[logs[0].clone(), other]);
+            assert_eq!((tables.len(), notices.len()), (2, 1), "{notices:?}");
+        }
     }
 
     #[test]

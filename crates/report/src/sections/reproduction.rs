@@ -9,7 +9,7 @@ use crate::document::{
 };
 use crate::published::configuration::{CASES, RUNS, WINDOW, facts, known};
 use crate::published::figures::{FIGURES, OwnFigure, of_group};
-use crate::published::{Published, PublishedCondition, PublishedFigure};
+use crate::published::{Published, PublishedCondition, PublishedFigure, group_key};
 use crate::view::{ScoredRun, published_text, signed, with_interval};
 
 const NOT_MEASURED: Missing =
@@ -120,6 +120,7 @@ pub(crate) fn section(view: &ScoredRun<'_>) -> ReportSection {
         ReportBlock::Text(format!("Published: {title}{source}. Its policy: {policy}.")),
         ReportBlock::Notice(summary(&compared, published.conditions.len())),
     ];
+    blocks.extend(doubts(view).into_iter().map(ReportBlock::Notice));
     let all: Vec<&Pair> = compared.iter().flat_map(|(_, pairs)| pairs).collect();
     if all.iter().any(|pair| pair.place().is_some()) {
         blocks.push(ReportBlock::Text(meaning(published, &common)));
@@ -155,6 +156,36 @@ pub(crate) fn section(view: &ScoredRun<'_>) -> ReportSection {
     )
 }
 
+/// What may be mistaken in the file of figures.
+fn doubts(view: &ScoredRun<'_>) -> Vec<String> {
+    let conditions = &view.published.conditions;
+    let percentages = conditions.iter().flat_map(|condition| {
+        let PublishedCondition { sr, follow, recovery, from_others, groups, .. } = condition;
+        let single = [sr, follow, recovery, from_others].into_iter().flatten();
+        single.chain(groups.values()).map(|figure| figure.mean)
+    });
+    let largest = percentages.reduce(f64::max);
+    let fractions = largest.filter(|largest| *largest > 0.0 && *largest <= 1.0).map(|_| {
+        "No published percentage is above 1. The format has percentages from 0 to 100: if these are fractions, nothing below is \
+         true of them."
+            .to_owned()
+    });
+    let known: BTreeSet<String> =
+        view.log.world.groups.iter().map(|group| group_key(&group.name)).collect();
+    let keys: BTreeSet<&String> = conditions.iter().flat_map(|one| one.groups.keys()).collect();
+    let unknown: Vec<&str> =
+        keys.into_iter().filter(|key| !known.contains(*key)).map(String::as_str).collect();
+    let groups = (!unknown.is_empty()).then(|| {
+        let known: Vec<String> = known.into_iter().collect();
+        format!(
+            "The world of this run has no task group {}; it has {}.",
+            unknown.join(", "),
+            known.join(", ")
+        )
+    });
+    fractions.into_iter().chain(groups).collect()
+}
+
 /// How many published figures lie in the run's intervals, and what is not counted.
 fn summary(compared: &[(&str, Vec<Pair>)], conditions: usize) -> String {
     let pairs = || compared.iter().flat_map(|(_, pairs)| pairs);
@@ -166,6 +197,7 @@ fn summary(compared: &[(&str, Vec<Pair>)], conditions: usize) -> String {
         count => format!("{count} published figures {many}"),
     };
     let mut text = match places.len() {
+        0 if compared.is_empty() => "This run has none of the published conditions.".to_owned(),
         0 => "No published figure has an interval in this run.".to_owned(),
         all => format!("{covered} of {} in this run's intervals.", figures(all, "lies", "lie")),
     };
@@ -178,7 +210,7 @@ fn summary(compared: &[(&str, Vec<Pair>)], conditions: usize) -> String {
     if missing > 0 {
         text += &format!(" {} not measured in this run.", figures(missing, "was", "were"));
     }
-    if compared.len() < conditions {
+    if !compared.is_empty() && compared.len() < conditions {
         text += &format!(" This run has {} of {conditions} published conditions.", compared.len());
     }
     text
@@ -201,10 +233,14 @@ fn meaning(published: &Published, common: &Common<'_>) -> String {
         common.iter().any(|(condition, _)| condition.sr.is_some_and(|sr| sr.std.is_some()));
     match end(f64::min).zip(end(f64::max)) {
         Some((least, most)) => {
+            let [least, most] = [least, most].map(|error| format!("{error:.1}"));
+            let errors = match least == most {
+                true => format!("{least} points"),
+                false => format!("from {least} to {most} points"),
+            };
             text += &format!(
                 " The published deviations are over runs on the same cases. Divided by the root of the number of runs they are the \
-                 error of a published SR that comes from repetition, at least {least:.1} and at most {most:.1} points; they say \
-                 nothing about other cases."
+                 error of a published SR that comes from repetition, {errors}; they say nothing about other cases."
             );
         }
         _ if has_spread => {

@@ -227,8 +227,8 @@ fn a_manifest_says_whether_there_were_plates_and_one_without_the_key_is_of_a_run
     assert_eq!(earlier, with);
     // It is neither continued without plates nor ranked beside runs without.
     assert_eq!(without.differences(&earlier)[0].to_string(), "plates: \"on\" there, \"off\" now");
-    assert_ne!(without.protocol_id(), earlier.protocol_id());
-    assert_eq!(with.protocol_id(), earlier.protocol_id());
+    assert_ne!(without.protocol(), earlier.protocol());
+    assert_eq!(with.protocol(), earlier.protocol());
 }
 
 #[test]

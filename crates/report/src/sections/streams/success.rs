@@ -2,12 +2,14 @@
 
 use conditions::Condition;
 use domain::{Arm, MemoryKind, Representation};
-use scores::{Estimate, FigureDifference, RoundScore, StreamScore, StreamScores, TestedDifference};
+use scores::{
+    Estimate, FigureDifference, RoundScore, StreamScore, StreamScores, TestedDifference, p_value,
+};
 
 use super::{by_condition, is_tested, memory_and_arm, short, sure};
 use crate::document::{Missing, ReportBlock, RowGroup, Table, TableCell, TableColumn, TableRow};
 use crate::plot::{Course, CourseCurve, CoursePoint, course};
-use crate::view::{ScoredRun, p_value, signed, with_interval};
+use crate::view::{ScoredRun, signed, with_interval};
 
 const NO_BLOCK: Missing = Missing::Undefined("the streams have no such block");
 const NO_TEST: Missing = Missing::Undefined("one stream, or all streams alike");
