@@ -29,8 +29,7 @@ use shm_types::description::memory_folder;
 use shm_types::message::Role;
 use shm_types::{ATTACH_VARIABLE, WORLD_INDEX_VARIABLE};
 
-use groups::Group;
-pub use groups::{kill_all, output, output_until};
+pub use groups::{Group, kill_all, output, output_until};
 use log_file::{LogFile, LogLimits, LogPosition};
 
 /// Lines of the log shown when a child has ended.

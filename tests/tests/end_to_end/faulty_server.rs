@@ -101,7 +101,8 @@ fn slice<'a>(base_url: &'a str, out: &'a str, cache: &'a str) -> Vec<&'a str> {
     args.extend(["--cases", "t01-01,t03-02,t07-01", "--starts", "new", "--demos", "original"]);
     args.extend(["--memory", "working,full-context", "--frame-size", "64", "--max-steps", "8"]);
     args.extend(["--lanes", "4", "--max-connections", "4", "--max-retries", "12"]);
-    args.extend(["--request-timeout", "1", "--response-cache", cache, "--out", out]);
+    // Much longer than a reply takes that is counted: the client must not give one up.
+    args.extend(["--request-timeout", "5", "--response-cache", cache, "--out", out]);
     args
 }
 
