@@ -40,7 +40,7 @@ pub const STRAY_FAULTS: [&str; 11] = [
 
 /// How long a command may take before it is killed because it hangs: many times what the longest, a build of the wheel, takes on a slow
 /// machine.
-pub const WATCHDOG: Duration = Duration::from_secs(30 * 60);
+pub const WATCHDOG: Duration = Duration::from_secs(2 * 60 * 60);
 
 /// The path of the program `name`, which was built beside the running test or program.
 pub fn program(name: &str) -> PathBuf {

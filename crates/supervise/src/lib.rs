@@ -3,7 +3,7 @@
 //! A child is a program beside the running one, or an external command. Each has a process group of its own, so that
 //! Ctrl-C reaches the orchestrator alone; when a child has ended, its whole group is killed, including everything that
 //! it started. Children end with the orchestrator: the kernel kills the project's own programs when the thread that started
-//! them ends (see `shm_types::process::die_with_parent`), and a shell kills the group of an external command. The output of
+//! them ends (see `shm_types::process::die_with_parent`), and a shell kills the group of an external command or builder. The output of
 //! a child goes to a log file, whose last lines are part of the message when it fails; of a long log the middle is left out.
 
 mod log_file;
