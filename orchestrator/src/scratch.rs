@@ -4,10 +4,8 @@
 //! and bears the name of one is abandoned, and `memtransfer clean` removes it.
 
 use std::fs::{self, File, Permissions, TryLockError};
-use std::io::{
-    self, ErrorKind,
-    ErrorKind::{AlreadyExists, NotFound},
-};
+use std::io;
+use std::io::ErrorKind::{AlreadyExists, NotFound};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 

@@ -210,8 +210,8 @@ fn an_interrupted_doctor_leaves_nothing_and_a_killed_one_what_clean_removes() {
         let mut child = in_scratch(&["doctor"]).spawn().unwrap();
         let is_held = eventually("a view to be rendered or embedded", || {
             let is_held = processes_with(marker).into_iter().any(hold);
-            let is_over = || child.try_wait().unwrap().is_some();
-            (is_held || is_over()).then_some(is_held)
+            let is_over = child.try_wait().unwrap().is_some();
+            (is_held || is_over).then_some(is_held)
         });
         if is_held {
             return child;
