@@ -18,6 +18,10 @@ OBJECTS = 80 << 20
 """Bytes of a node's object store, about the least that Ray accepts."""
 
 
+# A test in the background may inherit an ignored SIGINT, and the run that it starts with it; a program at a terminal does not.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def finished(units: Path) -> int:
     return sum(1 for unit in units.glob("unit-*") if unit.suffix == "")
 
