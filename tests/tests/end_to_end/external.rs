@@ -170,9 +170,10 @@ fn run_with_fault(bench: &Bench, fault: &str, out: &str) -> (Ended, Vec<String>)
 #[test]
 fn a_fault_in_one_episode_costs_that_episode_only() {
     let bench = Bench::new();
-    for (fault, said) in
-        [("crash-on", "I cannot stand this one"), ("silent-on", "has not answered for 10 s")]
-    {
+    for (fault, said) in [
+        ("crash-on", "I cannot stand this one"),
+        ("silent-on", " s (--step-timeout) and seems to hang"),
+    ] {
         let (ended, errors) = run_with_fault(&bench, fault, fault);
         let ended = ended.expect(1);
         let [error] = &errors[..] else { panic!("{fault}: {errors:?}\n{}", ended.stderr) };
