@@ -312,7 +312,7 @@ impl Children {
             process.role == Role::ExternalMemory && process.index == index
         };
         let process = self.processes.iter().find(is_it)?;
-        let tail = log_tail(&process.log, process.log_start, process.role).unwrap_or_default();
+        let tail = log_tail(&process.log, &process.log_start, process.role).unwrap_or_default();
         Some((tail, &process.log))
     }
 
@@ -362,7 +362,7 @@ impl ChildProcess {
         }
         // Also the processes that it started.
         let status = self.end()?;
-        let log_tail = log_tail(&self.log, self.log_start, self.role).unwrap_or_default();
+        let log_tail = log_tail(&self.log, &self.log_start, self.role).unwrap_or_default();
         let (log, command) = (self.log.clone(), self.command.clone());
         let Self { role, index, .. } = *self;
         Some(ChildExit { role, index, status, log_tail, log, command })
@@ -439,7 +439,7 @@ fn log_name(role: Role, index: u8) -> String {
 
 /// The end of `log`, of which the process wrote from `start` on: from its final error message (`sim-proc: ...`) if
 /// there is one, otherwise the last lines.
-fn log_tail(log: &Path, start: LogPosition, role: Role) -> io::Result<String> {
+fn log_tail(log: &Path, start: &LogPosition, role: Role) -> io::Result<String> {
     let text = end_of(log, start.offset_in(&durable::open(log)?)?)?;
     let lines: Vec<&str> = text.lines().collect();
     let message = format!("{}-proc: ", role.word());
