@@ -1,7 +1,6 @@
 //! The memory process.
 
 use std::num::{NonZeroU32, NonZeroUsize};
-use std::os::unix::process::parent_id;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
@@ -24,7 +23,6 @@ use memory_proc::search_profile::{self, ProfileSettings};
 use memory_proc::serve::{EncoderSettings, ServeSettings, serve};
 use program::AppearanceArgs;
 use search::synthetic::SyntheticVectors;
-use shm_types::process::die_with_parent;
 
 /// The memory of MemTransfer: embeds frames, builds the representations, retrieves.
 #[derive(Parser)]
@@ -386,7 +384,6 @@ fn run(verb: MemoryProcVerb) -> anyhow::Result<()> {
             wanted,
             builder,
         } => {
-            die_with_parent(parent_id()).context("cannot tie this process to its parent")?;
             let book = BookFile::<DemonstrationBook>::read(&demonstrations)?.book;
             let sources = Sources::new(book, frame_size, appearance.into());
             let world = match case_ids {

@@ -372,7 +372,7 @@ fn memory_with_external(method: Scripted, arguments: &[&str]) -> MemoryRig {
 #[test]
 fn an_external_memory_supplies_what_it_names_and_fails_its_own_episodes_only() {
     let memory = Scripted::default();
-    let arguments = ["--no-encoder", "--memory-timeout", "1"];
+    let arguments = ["--no-encoder", "--memory-timeout", "15"];
     let mut rig = memory_with_external(memory.clone(), &arguments);
     // Its own and that of the external memory, in any order.
     let facts = [rig.handshake(), rig.handshake()].map(|handshake| handshake.facts().unwrap());
@@ -412,7 +412,7 @@ fn an_external_memory_supplies_what_it_names_and_fails_its_own_episodes_only() {
     rig.observe(Observation { episode: 2, lane: 1, ..seen(1) });
     rig.observe(Observation { episode: 3, ..seen(0) });
     assert_eq!(rig.recall().0.episode, 3);
-    let why = "external memory scripted has not answered step 1 within 1 s".to_owned();
+    let why = "external memory scripted has not answered step 1 within 15 s".to_owned();
     assert_eq!(failure(&mut rig), (ErrorReportKind::Overdue as u32, 2, why));
     memory.ended.store(true, Relaxed);
     rig.stop();

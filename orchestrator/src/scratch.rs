@@ -3,8 +3,9 @@
 //! A program keeps a lock on each while it uses it, which the kernel releases when the program ends in any way. What is unlocked
 //! and bears the name of one is abandoned, and `memtransfer clean` removes it.
 
-use std::fs::{self, File, Permissions};
-use std::io::{self, ErrorKind};
+use std::fs::{self, File, Permissions, TryLockError};
+use std::io;
+use std::io::ErrorKind::{AlreadyExists, NotFound};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
@@ -34,9 +35,12 @@ impl ScratchFolder {
     pub fn new() -> io::Result<Self> {
         loop {
             let folder = tempfile::Builder::new().prefix(FOLDER).tempdir()?;
-            let lock = File::create_new(folder.path().join(LOCK))?;
-            lock.lock()?;
             // Unless a cleaner was first.
+            let lock = match File::create_new(folder.path().join(LOCK)) {
+                Err(error) if matches!(error.kind(), NotFound | AlreadyExists) => continue,
+                lock => lock?,
+            };
+            lock.lock()?;
             if folder.path().exists() {
                 return Ok(Self { folder, _lock: lock });
             }
@@ -79,7 +83,12 @@ pub fn abandoned_folders() -> io::Result<Vec<PathBuf>> {
     let own = rustix::process::getuid().as_raw();
     abandoned(&std::env::temp_dir(), FOLDER, |path| {
         let about = fs::symlink_metadata(path)?;
-        Ok(about.is_dir() && about.uid() == own && is_unlocked(&path.join(LOCK))?)
+        // One that was killed when it had just made its folder, or was removing it, has left no lock.
+        let is_free = match is_unlocked(&path.join(LOCK)) {
+            Err(error) if error.kind() == NotFound => true,
+            is_unlocked => is_unlocked?,
+        };
+        Ok(about.is_dir() && about.uid() == own && is_free)
     })
 }
 
@@ -96,12 +105,21 @@ pub fn abandoned_drafts(folder: &Path) -> io::Result<Vec<PathBuf>> {
 /// # Errors
 /// When the system refuses.
 pub fn remove(abandoned: &Path) -> io::Result<()> {
-    let removed = match fs::symlink_metadata(abandoned) {
-        Ok(about) if about.is_dir() => fs::remove_dir_all(abandoned),
-        _ => fs::remove_file(abandoned),
-    };
+    let removed = fs::symlink_metadata(abandoned).and_then(|about| {
+        // Kept meanwhile: a program that has just made it finds it removed, and makes another one.
+        let lock = match about.is_dir() {
+            true => durable::output::open_lock(&abandoned.join(LOCK))?,
+            false => durable::input::open(abandoned)?,
+        };
+        match lock.try_lock() {
+            Ok(()) if about.is_dir() => fs::remove_dir_all(abandoned),
+            Ok(()) => fs::remove_file(abandoned),
+            Err(TryLockError::WouldBlock) => Ok(()),
+            Err(TryLockError::Error(error)) => Err(error),
+        }
+    });
     // Another one may have been faster.
-    removed.or_else(|error| if error.kind() == ErrorKind::NotFound { Ok(()) } else { Err(error) })
+    removed.or_else(|error| if error.kind() == NotFound { Ok(()) } else { Err(error) })
 }
 
 fn abandoned(
@@ -110,7 +128,7 @@ fn abandoned(
     is_abandoned: impl Fn(&Path) -> io::Result<bool>,
 ) -> io::Result<Vec<PathBuf>> {
     let entries = match fs::read_dir(folder) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) if error.kind() == NotFound => return Ok(Vec::new()),
         entries => entries?,
     };
     let mut found = Vec::new();
@@ -144,12 +162,18 @@ mod tests {
         let ScratchFolder { folder, _lock: lock } = left;
         assert_eq!(folder.keep(), path);
         drop(lock);
-        let found = abandoned_folders().unwrap();
-        assert!(found.contains(&path) && !found.contains(&used.path().to_owned()));
-        remove(&path).unwrap();
-        remove(&path).unwrap();
-        assert!(!path.exists());
+        // As a kill leaves it that comes before there is a lock.
+        let unborn = tempfile::Builder::new().prefix(FOLDER).tempdir().unwrap().keep();
         let used_path = used.path().to_owned();
+        let found = abandoned_folders().unwrap();
+        assert!(found.contains(&path) && found.contains(&unborn) && !found.contains(&used_path));
+        for left in [&path, &path, &unborn] {
+            remove(left).unwrap();
+            assert!(!left.exists());
+        }
+        // One that was made after the look.
+        remove(&used_path).unwrap();
+        assert!(used_path.exists());
         drop(used);
         assert!(!used_path.exists());
     }

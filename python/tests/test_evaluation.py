@@ -20,6 +20,8 @@ import pytest
 from memtransfer import Action, Memory, Policy, PolicyError, Result, RunError, Steps, evaluate
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "examples"))
+# Tests in the background may inherit an ignored SIGINT, and the scripts that they start with it; a program at a terminal does not.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SHORT: dict[str, Any] = {"frame_size": 64, "max_steps": 7, "lanes": 3, "limit": 3, "starts": "original", "progress": False}
 """Short episodes on small frames."""

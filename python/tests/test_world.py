@@ -38,7 +38,7 @@ def request(**changes: Any) -> dict[str, Any]:
 
 def program(script: Path, *arguments: str, lines: str = "") -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(script), *arguments]
-    return subprocess.run(command, input=lines, capture_output=True, text=True, timeout=100)
+    return subprocess.run(command, input=lines, capture_output=True, text=True)
 
 
 def book(script: Path, folder: Path, **changes: Any) -> subprocess.CompletedProcess[str]:
@@ -105,7 +105,7 @@ def test_a_world_does_not_serve_the_case_book_of_another_version(tmp_path: Path)
     changed.write_text(CORRIDOR.read_text().replace('"corridor", "1"', '"corridor", "2"'))
     environment = {**os.environ, "MEMTRANSFER_ATTACH": str(tmp_path)}
     serve = [sys.executable, str(changed), "serve", "--demonstrations", str(tmp_path / "demonstrations.json")]
-    done = subprocess.run(serve, capture_output=True, text=True, timeout=100, env=environment)
+    done = subprocess.run(serve, capture_output=True, text=True, env=environment)
     assert done.returncode == 1 and "corridor 1 with another declaration than this program's corridor 2" in done.stderr
 
 
@@ -152,7 +152,7 @@ def test_a_world_that_offers_mismatches(tmp_path: Path) -> None:
     assert usual == other
     lines = b"reach-7.new.\nreach-7.new-light.\nreach-7.new.\n"
     command = [sys.executable, str(script), "views", "--size", "64x64"]
-    pixels = subprocess.run(command, input=lines, capture_output=True, timeout=100, check=True).stdout
+    pixels = subprocess.run(command, input=lines, capture_output=True, check=True).stdout
     first, second, third = np.frombuffer(pixels, dtype=np.uint8).reshape(3, 64, 64, 4)
     assert (first == third).all() and (second[..., :3] == first[..., :3] // 2).all() and (first != second).any()
 

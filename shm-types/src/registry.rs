@@ -38,8 +38,9 @@ use crate::transport::{Ipc, run_config};
 const LOCK_FILE: &str = "lock";
 
 /// How long [`RunDir`]'s drop waits for the run's last processes before it leaves the run to a later [`clean`]. (A
-/// process that is being started holds its parent's locks for a moment.)
-const EXIT_TIMEOUT: Duration = Duration::from_secs(1);
+/// process that is being started holds its parent's locks for a moment.) Long, because a process that the user has started may have
+/// little of the machine's time; no run whose processes end waits for it.
+const EXIT_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Time between two searches of a live run for segments without a size.
 const SWEEP_INTERVAL: Duration = Duration::from_millis(250);

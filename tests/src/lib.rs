@@ -14,6 +14,7 @@ pub mod proxy;
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -39,7 +40,7 @@ pub const STRAY_FAULTS: [&str; 11] = [
 
 /// How long a command may take before it is killed because it hangs: many times what the longest, a build of the wheel, takes on a slow
 /// machine.
-pub const WATCHDOG: Duration = Duration::from_secs(30 * 60);
+pub const WATCHDOG: Duration = Duration::from_secs(2 * 60 * 60);
 
 /// The path of the program `name`, which was built beside the running test or program.
 pub fn program(name: &str) -> PathBuf {
@@ -54,6 +55,18 @@ pub fn program(name: &str) -> PathBuf {
         program.display()
     );
     program
+}
+
+/// Writes a program or script. Another process makes the file: what this one has open for writing is open for a moment in every process
+/// that another test starts, and cannot be executed meanwhile.
+pub fn write_program(path: &Path, bytes: impl AsRef<[u8]>) {
+    let mut shell = Command::new("/bin/sh");
+    shell.args(["-c", "cat > \"$0\" && chmod 755 \"$0\""]).arg(path).stdin(Stdio::piped());
+    let mut shell = shell.spawn().expect("a shell starts");
+    let mut written = shell.stdin.take().expect("it has a pipe");
+    written.write_all(bytes.as_ref()).expect("the shell reads");
+    drop(written);
+    assert!(shell.wait().expect("it ends").success(), "{} cannot be written", path.display());
 }
 
 /// A file or folder of the repository.
@@ -221,12 +234,33 @@ pub fn kill(pid: u32) {
     signal(pid, Signal::KILL);
 }
 
-/// Stops process `pid` until it is killed.
+/// Stops process `pid` until it is killed or [resumed](resume).
 pub fn stop(pid: u32) {
     signal(pid, Signal::STOP);
 }
 
-fn signal(pid: u32, signal: Signal) {
+/// Lets process `pid`, which was [stopped](stop), go on.
+pub fn resume(pid: u32) {
+    signal(pid, Signal::CONT);
+}
+
+/// Stops process `pid`, and waits until it does nothing more. Returns whether it was there to be stopped.
+pub fn hold(pid: u32) -> bool {
+    stop(pid);
+    eventually("a process to stop", || {
+        let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+        // The state follows the name, which may have brackets.
+        let state = stat.rsplit_once(") ").and_then(|(_, rest)| rest.chars().next());
+        match state {
+            Some('T') => Some(true),
+            None | Some('Z' | 'X') => Some(false),
+            Some(_) => None,
+        }
+    })
+}
+
+/// Sends `signal` to process `pid`.
+pub fn signal(pid: u32, signal: Signal) {
     if let Some(pid) = i32::try_from(pid).ok().and_then(Pid::from_raw) {
         // It may have ended already.
         let _ = kill_process(pid, signal);

@@ -3,7 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
@@ -117,8 +117,12 @@ impl Machine {
 
     fn program(&self, name: &str, body: &str) {
         let path = self.path("bin").join(name);
-        fs::write(&path, format!("#!/bin/sh\n{body}\n")).unwrap();
-        fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
+        // By another process: what this one has open for writing is open for a moment in every process that another test starts, and
+        // cannot be executed meanwhile.
+        let mut shell = Command::new("/bin/sh");
+        shell.args(["-c", "printf '%s' \"$1\" > \"$0\" && chmod 755 \"$0\""]);
+        shell.arg(path).arg(format!("#!/bin/sh\n{body}\n"));
+        assert!(shell.status().unwrap().success());
     }
 
     fn setup(&self, flags: &[&str]) -> Output {

@@ -78,6 +78,8 @@ impl RunArgs {
 }
 
 pub(super) fn run(args: RunArgs) -> Result<Exit> {
+    // First, because the end of the parent is a signal: a folder to discard is removed even if it comes at once.
+    let signals = Signals::listen().context("cannot listen to signals")?;
     let parent = args.parent.watch()?;
     let resolved = args.resolve()?;
     if args.show_settings {
@@ -85,7 +87,7 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
         return Ok(Exit::Complete);
     }
     let folder = args.discard.then(|| resolved.settings.out.clone());
-    let exit = execute_settings(args, resolved)?;
+    let exit = execute_settings(args, resolved, &signals)?;
     // Not after an error: the folder may be that of another run, or no run's.
     if let Some(folder) = folder {
         parent.remove_if_ended(&folder)?;
@@ -93,7 +95,7 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
     Ok(exit)
 }
 
-fn execute_settings(args: RunArgs, resolved: Resolved) -> Result<Exit> {
+fn execute_settings(args: RunArgs, resolved: Resolved, signals: &Signals) -> Result<Exit> {
     let RunArgs { mut options, repetition, .. } = args;
     options.base_url_source = source_of(resolved.origin("base-url"));
     options.header_source = source_of(resolved.origin("header"));
@@ -103,11 +105,10 @@ fn execute_settings(args: RunArgs, resolved: Resolved) -> Result<Exit> {
         false => (Purpose::Execution, commands::Use::Start { allowed: options.allow_commands }),
     };
     commands::check(&suite, &resolved.commands_of_suite()?, used)?;
-    let signals = Signals::listen().context("cannot listen to signals")?;
-    let invocation = invocation(&options, &signals);
+    let invocation = invocation(&options, signals);
     let selected = repetition.map_or(Selected::All, Selected::Repetition);
     let Some(plan) = RunPlan::new(resolved.settings, &selected, purpose, &invocation)? else {
-        return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
+        return Ok(stopped_before_episodes(signals, STARTING_MEMORIES));
     };
     note_omissions(&plan.settings);
     if options.dry_run {
@@ -116,12 +117,12 @@ fn execute_settings(args: RunArgs, resolved: Resolved) -> Result<Exit> {
     }
     let out = plan.settings.out.clone();
     let halted = match execute(plan, &invocation)? {
-        RunOutcome::Stopped => return Ok(stopped_before_episodes(&signals, BUILDING_DOCUMENTS)),
+        RunOutcome::Stopped => return Ok(stopped_before_episodes(signals, BUILDING_DOCUMENTS)),
         RunOutcome::OverBudget(why) => return Ok(over_budget(&why)),
         RunOutcome::NothingMissing => None,
         RunOutcome::Ended(ending) => ending.halted,
     };
-    conclude(&out, halted, &signals)
+    conclude(&out, halted, signals)
 }
 
 /// Kinds of reasons that are printed.

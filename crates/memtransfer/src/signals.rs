@@ -42,12 +42,16 @@ impl Signals {
         let own = signals.clone();
         thread::Builder::new().name("signals".to_owned()).spawn(move || {
             let mut first: Option<Instant> = None;
-            for signal in arriving.forever() {
-                own.received.store(signal as usize, Ordering::Relaxed);
-                own.stop.store(true, Ordering::Relaxed);
-                let first = *first.get_or_insert_with(Instant::now);
-                if signal != SIGHUP && first.elapsed() >= SAME_REQUEST {
-                    end_at_once(signal);
+            loop {
+                let arrived = arriving.wait();
+                // Those that arrive together are one request, however long each takes.
+                let now = Instant::now();
+                for signal in arrived {
+                    own.received.store(signal as usize, Ordering::Relaxed);
+                    own.stop.store(true, Ordering::Relaxed);
+                    if is_another_request(signal, *first.get_or_insert(now), now) {
+                        end_at_once(signal);
+                    }
                 }
             }
         })?;
@@ -63,6 +67,11 @@ impl Signals {
     pub(crate) fn received(&self) -> Option<u8> {
         u8::try_from(self.received.load(Ordering::Relaxed)).ok().filter(|&signal| signal != 0)
     }
+}
+
+/// Whether the signal is not the same request as the first one.
+fn is_another_request(signal: i32, first: Instant, now: Instant) -> bool {
+    signal != SIGHUP && now.duration_since(first) >= SAME_REQUEST
 }
 
 /// Ends the program: the children first, so that nothing of a run is left. Not by the signal itself, which the kernel ignores
@@ -93,4 +102,28 @@ fn is_ignored(signal: i32) -> bool {
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
     mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_later_signal_is_another_request_and_a_hangup_never() {
+        let first = Instant::now();
+        for (signal, after_ms, is_another) in [
+            (SIGTERM, 0, false),
+            (SIGINT, 499, false),
+            (SIGINT, 500, true),
+            (SIGTERM, 60_000, true),
+            (SIGHUP, 60_000, false),
+        ] {
+            let now = first + Duration::from_millis(after_ms);
+            assert_eq!(
+                is_another_request(signal, first, now),
+                is_another,
+                "{signal}, {after_ms} ms"
+            );
+        }
+    }
 }

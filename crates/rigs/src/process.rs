@@ -29,7 +29,7 @@ use tempfile::TempDir;
 use conformance::neighbours::{self, Neighbours, PolicyNeighbours};
 
 /// A wait that takes this long hangs.
-pub const LONG: Duration = Duration::from_secs(120);
+pub const LONG: Duration = Duration::from_secs(600);
 
 /// A run in a folder of its own, which is removed in the end. Fields are dropped in order.
 #[derive(Debug)]

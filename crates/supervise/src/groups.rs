@@ -6,7 +6,7 @@
 
 use std::io::{self, Read};
 use std::os::unix::process::CommandExt;
-use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::process::{Child, ChildStdout, Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -29,7 +29,7 @@ fn groups() -> MutexGuard<'static, Vec<(Pid, Pid)>> {
 
 /// A child that has a process group of its own.
 #[derive(Debug)]
-pub(crate) struct Group {
+pub struct Group {
     child: Child,
     watchdog: Option<Watchdog>,
     /// Its status, once it was waited for. From then on its process id may be another process's.
@@ -49,7 +49,7 @@ impl Group {
     ///
     /// # Errors
     /// As [`Self::start`].
-    pub(crate) fn start_watched(command: &mut Command) -> io::Result<Self> {
+    pub fn start_watched(command: &mut Command) -> io::Result<Self> {
         let watchdog = Watchdog::start()?;
         Self::start_in(command, Some(watchdog))
     }
@@ -69,8 +69,13 @@ impl Group {
         self.watchdog.as_ref().map_or_else(|| Pid::from_child(&self.child), Watchdog::id)
     }
 
+    /// The child's output, if it is piped and was not taken before.
+    pub fn take_stdout(&mut self) -> Option<ChildStdout> {
+        self.child.stdout.take()
+    }
+
     /// Whether the child runs. Does not reap it, so that its process id stays its own.
-    pub(crate) fn is_alive(&self) -> bool {
+    pub fn is_alive(&self) -> bool {
         let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
         let child = WaitId::Pid(Pid::from_child(&self.child));
         self.status.is_none() && matches!(waitid(child, options), Ok(None))
@@ -80,7 +85,7 @@ impl Group {
     ///
     /// # Errors
     /// When the system cannot wait for it.
-    pub(crate) fn end(&mut self) -> io::Result<ExitStatus> {
+    pub fn end(&mut self) -> io::Result<ExitStatus> {
         if let Some(status) = self.status {
             return Ok(status);
         }

@@ -3,7 +3,7 @@
 //! A child is a program beside the running one, or an external command. Each has a process group of its own, so that
 //! Ctrl-C reaches the orchestrator alone; when a child has ended, its whole group is killed, including everything that
 //! it started. Children end with the orchestrator: the kernel kills the project's own programs when the thread that started
-//! them ends (see `shm_types::process::die_with_parent`), and a shell kills the group of an external command. The output of
+//! them ends (see `shm_types::process::die_with_parent`), and a shell kills the group of an external command or builder. The output of
 //! a child goes to a log file, whose last lines are part of the message when it fails; of a long log the middle is left out.
 
 mod log_file;
@@ -29,8 +29,7 @@ use shm_types::description::memory_folder;
 use shm_types::message::Role;
 use shm_types::{ATTACH_VARIABLE, WORLD_INDEX_VARIABLE};
 
-use groups::Group;
-pub use groups::{kill_all, output, output_until};
+pub use groups::{Group, kill_all, output, output_until};
 use log_file::{LogFile, LogLimits, LogPosition};
 
 /// Lines of the log shown when a child has ended.
@@ -313,7 +312,7 @@ impl Children {
             process.role == Role::ExternalMemory && process.index == index
         };
         let process = self.processes.iter().find(is_it)?;
-        let tail = log_tail(&process.log, process.log_start, process.role).unwrap_or_default();
+        let tail = log_tail(&process.log, &process.log_start, process.role).unwrap_or_default();
         Some((tail, &process.log))
     }
 
@@ -363,7 +362,7 @@ impl ChildProcess {
         }
         // Also the processes that it started.
         let status = self.end()?;
-        let log_tail = log_tail(&self.log, self.log_start, self.role).unwrap_or_default();
+        let log_tail = log_tail(&self.log, &self.log_start, self.role).unwrap_or_default();
         let (log, command) = (self.log.clone(), self.command.clone());
         let Self { role, index, .. } = *self;
         Some(ChildExit { role, index, status, log_tail, log, command })
@@ -440,7 +439,7 @@ fn log_name(role: Role, index: u8) -> String {
 
 /// The end of `log`, of which the process wrote from `start` on: from its final error message (`sim-proc: ...`) if
 /// there is one, otherwise the last lines.
-fn log_tail(log: &Path, start: LogPosition, role: Role) -> io::Result<String> {
+fn log_tail(log: &Path, start: &LogPosition, role: Role) -> io::Result<String> {
     let text = end_of(log, start.offset_in(&durable::open(log)?)?)?;
     let lines: Vec<&str> = text.lines().collect();
     let message = format!("{}-proc: ", role.word());

@@ -24,25 +24,27 @@ impl LogLimits {
 }
 
 /// A place in a log: what one process prints begins there.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug)]
 pub(crate) struct LogPosition {
-    /// The inode of the file. It is another one once something was left out.
-    file: u64,
+    /// The file, if there was one. Open, so that no later file gets its inode: the log is another file once something was left out.
+    file: Option<File>,
     offset: u64,
 }
 
 impl LogPosition {
     /// The end of the file `path`, which may be missing.
     pub(crate) fn end_of(path: &Path) -> Self {
-        match fs::metadata(path) {
-            Ok(found) => Self { file: found.ino(), offset: found.len() },
-            Err(_) => Self { file: 0, offset: 0 },
+        let found = durable::open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
+        match found {
+            Ok((offset, file)) => Self { file: Some(file), offset },
+            Err(_) => Self { file: None, offset: 0 },
         }
     }
 
     /// Where the process's output begins in `file`. If something was left out since, all of its end is that of the process.
-    pub(crate) fn offset_in(self, file: &File) -> io::Result<u64> {
-        Ok(if file.metadata()?.ino() == self.file { self.offset } else { 0 })
+    pub(crate) fn offset_in(&self, file: &File) -> io::Result<u64> {
+        let Some(then) = &self.file else { return Ok(0) };
+        Ok(if file.metadata()?.ino() == then.metadata()?.ino() { self.offset } else { 0 })
     }
 }
 

@@ -15,7 +15,7 @@ use documents::{DocumentFolder, DocumentName, Recipe};
 use domain::SecretHeader;
 use run_log::ELSEWHERE_FILE;
 use shm_types::message::Role;
-use supervise::Launch;
+use supervise::{Group, Launch};
 
 use super::{BuildStage, DocumentRequest};
 use crate::scratch::ScratchFolder;
@@ -50,16 +50,17 @@ pub(super) fn build(
     if matches!(recipe, Recipe::Extractive) {
         supervise::without_keys(&mut command);
     }
-    let mut child = command
+    command
         .args(args)
         .envs(env)
         .envs([SecretHeader::variable(&request.server.headers)])
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
-        .stderr(errors)
-        .spawn()
+        .stderr(errors);
+    // With the process that draws views for it.
+    let mut group = Group::start_watched(&mut command)
         .with_context(|| format!("cannot start {}", program.display()))?;
-    let output = BufReader::new(child.stdout.take().context("a child process without output")?);
+    let output = BufReader::new(group.take_stdout().context("a child process without output")?);
     let (sender, lines) = mpsc::channel();
     let read = move || output.lines().map_while(Result::ok).try_for_each(|line| sender.send(line));
     let reading = thread::Builder::new().spawn(read).context("cannot start a thread");
@@ -67,17 +68,15 @@ pub(super) fn build(
         || loop {
             match lines.recv_timeout(TICK) {
                 Ok(line) => stage_of(&line).into_iter().for_each(&mut *report),
-                Err(RecvTimeoutError::Disconnected) => break false,
+                Err(RecvTimeoutError::Disconnected) if !group.is_alive() => break false,
+                Err(RecvTimeoutError::Disconnected) => thread::sleep(TICK),
                 Err(RecvTimeoutError::Timeout) => {}
             }
             if stop.load(Ordering::Relaxed) {
                 break true;
             }
         };
-    if is_stopped {
-        child.kill().context("cannot stop memory-proc")?;
-    }
-    let status = child.wait().context("cannot wait for memory-proc")?;
+    let status = group.end().context("cannot wait for memory-proc")?;
     reading?;
     if !is_stopped && !status.success() {
         let messages = durable::input::read_text(&log).unwrap_or_default();

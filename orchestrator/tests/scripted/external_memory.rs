@@ -13,7 +13,7 @@ use orchestrator::external_memory::ExternalMemory;
 use orchestrator::lanes::Lanes;
 use orchestrator::pipeline::{Ending, MemoryState, PipelineOptions, run_episodes};
 use orchestrator::plan::plan;
-use rigs::process::ScratchRun;
+use rigs::process::{LONG, ScratchRun};
 use rigs::scripted::{ScriptedProcess, ScriptedRun, request};
 use shm_types::description::{DESCRIPTION_FILE, memory_folder};
 use shm_types::message::{
@@ -27,6 +27,7 @@ use crate::common::{RULES, Seen, books, options};
 
 const TICK: Duration = Duration::from_millis(20);
 const LANES: u32 = 4;
+const SHORT: Duration = Duration::from_millis(300);
 
 /// The name of the external memory of the tests below.
 const MEMORY: &str = "top-3";
@@ -161,11 +162,16 @@ fn run_with_memory(
         r#"{"name": "top-3"}"#
     );
     let command = format!("/bin/sh -c {}", shlex::try_quote(&script).unwrap());
-    let sleeper = Launch::command(Role::Sim, "sleep 300").unwrap();
+    let sleeper = Launch::command(Role::Sim, "sleep 3600").unwrap();
+    // Exceeded only where the host gives episodes up that late.
+    let memory_timeout = match about_external {
+        Host::GivesUp(after_ms) if after_ms > SHORT.as_millis() as u64 => SHORT,
+        _ => LONG,
+    };
     let options = PipelineOptions {
         memories: vec![memory(Some(command))],
-        memory_timeout: Duration::from_millis(300),
-        ..options(&scratch, vec![sleeper], Duration::from_secs(20))
+        memory_timeout,
+        ..options(&scratch, vec![sleeper], LONG)
     };
     let (mut seen, over) = (Seen::default(), AtomicBool::new(false));
     let outcome = thread::scope(|scope| {

@@ -48,7 +48,8 @@ fn run_with_policy(
     let episodes = plan(&conditions, &[0, 1, 2, 3, 4, 5, 6, 7], &ids, 1);
     let mut lanes = Lanes::new(&books, RULES, LANES as usize);
     // The peers are threads; the process that the pipeline watches only has to live.
-    let options = options(&scratch, vec![simulator("exec sleep 300")], Duration::from_secs(2));
+    // One of the policies makes the run wait so long.
+    let options = options(&scratch, vec![simulator("exec sleep 3600")], Duration::from_secs(20));
     let mut seen = Seen::default();
     let (over, stop) = (AtomicBool::new(false), AtomicBool::new(false));
     let peers = ScriptedRun { attach: scratch.attach(), over: &over };

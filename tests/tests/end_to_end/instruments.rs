@@ -19,15 +19,24 @@ fn values<'a>(objects: impl IntoIterator<Item = &'a Value>, key: &str) -> BTreeS
 fn a_run_has_a_live_status_a_trace_and_latencies() {
     let bench = Bench::new();
     let args = ["run", "--policy", "grounded", "--memory", "working,episodic", "--limit", "10"];
-    let more = ["--lanes", "4", "--out", "seen", "--trace", "trace.json"];
-    let child = bench.start(&[&args[..], &more].concat());
+    let more = ["--lanes", "4", "--out", "seen", "--trace", "trace.json", "--fresh"];
     // Each process sends a heartbeat about once a second.
     let processes = |seen: &Value| seen["processes"].as_object().map_or(0, serde_json::Map::len);
     let is_under_way = |seen: &Value| processes(seen) == 3 && seen["steps"].as_u64() > Some(0);
-    let status = eventually("heartbeats of every process, and steps", || {
-        let seen = bench.run(&["top", "seen", "--once", "--json"]);
-        (seen.status == Some(0)).then(|| json(&seen.stdout)).filter(is_under_way)
-    });
+    // Again, if it was over before it was looked at.
+    let (child, status) = loop {
+        let mut child = bench.start(&[&args[..], &more].concat());
+        let status = eventually("heartbeats of every process, and steps", || {
+            let is_over = child.try_wait().unwrap().is_some();
+            let seen = bench.run(&["top", "seen", "--once", "--json"]);
+            let seen = (seen.status == Some(0)).then(|| json(&seen.stdout)).filter(is_under_way);
+            (seen.is_some() || is_over).then_some(seen)
+        });
+        match status {
+            Some(status) => break (child, status),
+            None => drop(Ended::of(child).expect(0)),
+        }
+    };
     assert_eq!((&status["lanes"], &status["episodes"]["planned"]), (&json("4"), &json("40")));
     let shown = bench.run(&["top", "seen", "--once"]);
     Ended::of(child).expect(0);

@@ -5,14 +5,15 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::{Child, Command};
-use std::thread::sleep;
+use std::sync::mpsc;
+use std::thread;
 use std::time::Duration;
 
 use memtransfer_tests::{
-    Bench, Ended, eventually, kill, process_of, processes_with, program, shared_memory_of, stop,
-    wait_for_episodes,
+    Bench, Ended, eventually, hold, kill, process_of, processes_with, program, resume,
+    shared_memory_of, signal, stop, wait_for_episodes,
 };
-use rustix::process::{Pid, Signal, geteuid, kill_process};
+use rustix::process::{Signal, geteuid};
 
 /// The arguments of a run that goes on for longer than a test.
 fn endless(out: &str) -> Vec<&str> {
@@ -22,7 +23,7 @@ fn endless(out: &str) -> Vec<&str> {
 }
 
 fn terminate(pid: u32) {
-    kill_process(Pid::from_raw(pid.cast_signed()).unwrap(), Signal::TERM).unwrap();
+    signal(pid, Signal::TERM);
 }
 
 /// Longer than the time in which a second signal is the same request.
@@ -48,28 +49,42 @@ fn everything_that_a_run_has_in_shared_memory_is_for_its_user_only() {
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
-/// `timeout` sends its signal to the process and to its group.
+/// `timeout` sends its signal to the process and to its group. These arrive together: the process is stopped meanwhile, and of two
+/// alike it would get one.
 #[test]
 fn a_signal_that_arrives_twice_stops_a_run_once() {
     let bench = Bench::new();
     for out in ["first", "second", "third"] {
         let child = bench.start(&endless(out));
         wait_for_episodes(&bench.out(out), 1);
+        assert!(hold(child.id()));
         terminate(child.id());
-        terminate(child.id());
-        let ended = Ended::of(child).expect(143);
-        assert!(ended.stderr.contains("stopped by SIGTERM: "), "{}", ended.stderr);
+        signal(child.id(), Signal::INT);
+        resume(child.id());
+        let ended = Ended::of(child);
+        assert!(matches!(ended.status, Some(130 | 143)), "{:?}: {}", ended.status, ended.stderr);
+        assert!(ended.stderr.contains("stopped by SIG"), "{}", ended.stderr);
         assert!(!ended.stderr.contains("at once"), "{}", ended.stderr);
         assert_eq!(bench.leftovers(), Vec::<String>::new());
     }
 }
 
-/// Stops the policy, so that the run cannot end soon, and sends two signals to the process `pid`.
-fn terminate_twice(bench: &Bench, pid: u32) {
+/// Stops the policy, so that the run cannot end soon, and sends signals to the process `pid` until `child` has ended: the process may
+/// notice the first one late.
+fn terminate_again(bench: &Bench, pid: u32, child: Child) -> Ended {
     stop(process_of(bench.registry.path(), "policy"));
     terminate(pid);
-    sleep(ANOTHER_REQUEST);
-    terminate(pid);
+    let (running, ended) = mpsc::channel::<()>();
+    thread::scope(|scope| {
+        scope.spawn(move || {
+            while ended.recv_timeout(ANOTHER_REQUEST) == Err(mpsc::RecvTimeoutError::Timeout) {
+                terminate(pid);
+            }
+        });
+        let ended = Ended::of(child);
+        drop(running);
+        ended
+    })
 }
 
 #[test]
@@ -77,8 +92,7 @@ fn a_second_signal_ends_a_run_at_once_and_leaves_nothing() {
     let bench = Bench::new();
     let child = bench.start(&endless("run"));
     wait_for_episodes(&bench.out("run"), 1);
-    terminate_twice(&bench, child.id());
-    let ended = Ended::of(child).expect(143);
+    let ended = terminate_again(&bench, child.id(), child).expect(143);
     assert!(ended.stderr.contains("ended at once by a second SIGTERM"), "{}", ended.stderr);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
@@ -109,8 +123,7 @@ fn the_first_process_of_a_container_ends_as_any_other() {
     };
     let child = contained.spawn().unwrap();
     wait_for_episodes(&bench.out("run"), 1);
-    terminate_twice(&bench, child_of(&child));
-    let ended = Ended::of(child);
+    let ended = terminate_again(&bench, child_of(&child), child);
     assert_eq!(ended.status, Some(143), "{}", ended.stderr);
     assert!(ended.stderr.contains("ended at once by a second SIGTERM"), "{}", ended.stderr);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
@@ -164,7 +177,8 @@ fn a_run_stops_with_the_process_that_it_is_told_to_die_with() {
 fn commands_that_are_not_on_the_bus_end_with_the_orchestrator() {
     let bench = Bench::new();
     for flag in ["--policy-cmd", "--memory-cmd"] {
-        let mark = format!("86399.{}", std::process::id());
+        // Of one length: the mark of no other test begins with it.
+        let mark = format!("86399.{:010}", std::process::id());
         let command = format!("sh -c 'sleep {mark} & sleep {mark}; exit 1'");
         let out = flag.trim_start_matches('-');
         let args = ["run", "--limit", "1", flag, &command, "--out", out];
@@ -191,12 +205,17 @@ fn an_interrupted_doctor_leaves_nothing_and_a_killed_one_what_clean_removes() {
         command.env("TMPDIR", &scratch);
         command
     };
-    let started = || {
-        let child = in_scratch(&["doctor"]).spawn().unwrap();
-        eventually("a view to be rendered or embedded", || {
-            (!processes_with(marker).is_empty()).then_some(())
+    // The process that renders or embeds is held, so that the doctor cannot be over before the signal comes.
+    let started = || loop {
+        let mut child = in_scratch(&["doctor"]).spawn().unwrap();
+        let is_held = eventually("a view to be rendered or embedded", || {
+            let is_held = processes_with(marker).into_iter().any(hold);
+            let is_over = child.try_wait().unwrap().is_some();
+            (is_held || is_over).then_some(is_held)
         });
-        child
+        if is_held {
+            return child;
+        }
     };
     let child = started();
     terminate(child.id());
@@ -249,7 +268,7 @@ fn clean_removes_unfinished_copies_from_store_and_cache() {
 fn a_stopped_simulator_is_the_one_that_hangs() {
     let bench = Bench::new();
     let args = ["run", "--cases", "t01-01,t03-02,t09-05", "--memory", "working,full-context"];
-    let limits = ["--lanes", "2", "--runs", "20", "--step-timeout", "10", "--out", "run"];
+    let limits = ["--lanes", "2", "--runs", "20", "--step-timeout", "30", "--out", "run"];
     let child = bench.start(&[&args[..], &limits].concat());
     wait_for_episodes(&bench.out("run"), 2);
     stop(process_of(bench.registry.path(), "sim"));

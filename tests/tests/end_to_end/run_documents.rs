@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::Child;
 use std::sync::mpsc;
 
-use memtransfer_tests::{Bench, Ended, WATCHDOG};
+use memtransfer_tests::{Bench, Ended, WATCHDOG, eventually, processes_with};
 use rigs::chat_server::{Reaction, Received, Server, completion};
 use serde_json::{Value, json};
 
@@ -178,7 +178,10 @@ fn a_run_that_is_killed_while_its_model_writes_asks_nothing_twice() {
     .unwrap();
     let child = start(&bench, "cache", &run(&hanging.base_url(), "run", &[]));
     arrived.recv_timeout(WATCHDOG).unwrap();
+    let builders = || processes_with(bench.folder.path().as_os_str().as_encoded_bytes());
+    assert!(!builders().is_empty());
     bench.kill_run(child);
+    eventually("the process that builds to end", || builders().is_empty().then_some(()));
 
     let rest = model();
     ended(&bench, "cache", &run(&rest.base_url(), "run", &[])).expect(0);

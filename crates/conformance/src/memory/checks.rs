@@ -31,7 +31,7 @@ type MemoryKit<'a> = crate::Kit<'a, MemoryRole>;
 const INSTRUCTION: &str = "Find a blue barrel.";
 
 /// How long a memory is watched while it waits for its run.
-const WAIT_FOR_RUN: Duration = Duration::from_millis(300);
+const WAIT_FOR_RUN: Duration = Duration::from_secs(1);
 
 /// Checks without which the others make no sense.
 pub(crate) const REQUIRED_CHECKS: usize = 4;

@@ -1,6 +1,7 @@
 //! The package in Inspect, the data sets that it writes, and its Gymnasium environment.
 
 use std::fs;
+use std::io;
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -195,11 +196,21 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
     assert!(sample["model_usage"]["mockllm/model"]["input_tokens"].as_u64().unwrap() > 100);
 
     // The same log in Inspect View.
-    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
-    let view = ["-m", "inspect_ai", "view", "start", "--host", "127.0.0.1", "--port", &port];
-    let view = KilledOnDrop(start(&view));
-    let address = format!("127.0.0.1:{port}");
-    eventually("Inspect View", || TcpStream::connect(&address).ok());
+    let (view, address) = loop {
+        let port =
+            TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
+        let view = ["-m", "inspect_ai", "view", "start", "--host", "127.0.0.1", "--port", &port];
+        let mut view = KilledOnDrop(start(&view));
+        let address = format!("127.0.0.1:{port}");
+        let status = eventually("Inspect View", || match view.0.try_wait().unwrap() {
+            None => TcpStream::connect(&address).is_ok().then_some(None),
+            status => Some(status),
+        });
+        let Some(status) = status else { break (view, address) };
+        // Another program was faster to take the port.
+        let errors = io::read_to_string(view.0.stderr.take().unwrap()).unwrap();
+        assert!(errors.contains("address already in use"), "{status}: {errors}");
+    };
     let mut browser = Browser::start(1200, 800);
     let name = log.file_name().unwrap().to_str().unwrap().to_owned();
     browser.open(&format!("http://{address}/#/logs/{name}"));

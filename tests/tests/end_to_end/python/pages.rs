@@ -8,11 +8,11 @@
 //! - `text`: what a program prints, which is not compared.
 
 use std::fs;
-use std::os::unix::fs::{PermissionsExt, symlink};
+use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use memtransfer_tests::{Bench, Ended, needs, program, repository};
+use memtransfer_tests::{Bench, Ended, needs, program, repository, write_program};
 use rigs::chat_server::{Reaction, Server, completion};
 use serde_json::json;
 
@@ -192,9 +192,7 @@ impl Reader {
             PathBuf::from(packages(&environment.join("bin/python")).trim_end()).join("tests.pth");
         fs::write(link, packages(&needs::python())).unwrap();
         let pip = environment.join("bin/pip");
-        fs::write(&pip, "#!/bin/sh\nexec $PIP --python \"$(dirname \"$0\")/python\" \"$@\"\n")
-            .unwrap();
-        fs::set_permissions(&pip, fs::Permissions::from_mode(0o755)).unwrap();
+        write_program(&pip, "#!/bin/sh\nexec $PIP --python \"$(dirname \"$0\")/python\" \"$@\"\n");
         for folder in ["benches", "examples", "python"] {
             symlink(repository(folder), bench.out(folder)).unwrap();
         }

@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 
 use memtransfer_tests::browser::Browser;
-use memtransfer_tests::{Bench, Ended, KilledOnDrop, wait_for_episodes, words};
+use memtransfer_tests::{Bench, Ended, KilledOnDrop, hold, resume, wait_for_episodes, words};
 
 use super::{EPISODE, assert_no_problem, blocked};
 
@@ -138,15 +138,18 @@ fn an_episode_that_arrives_late_does_not_replace_the_page_opened_since() {
 #[test]
 fn new_episodes_of_a_run_in_progress_appear() {
     let bench = Bench::new();
-    let line = "run --suite quick --limit 30 --policy grounded --lanes 1 --out r";
+    let line =
+        "run --suite quick --limit 30 --policy grounded --lanes 1 --step-timeout 3600 --out r";
     let running = bench.start(&words(line));
     let run = bench.out("r");
     wait_for_episodes(&run, 1);
+    assert!(hold(running.id()));
     let served = Served::start(&bench, &["view", run.to_str().unwrap(), "--serve"]);
     let mut browser = Browser::start(1000, 800);
     browser.open(&served.url);
     browser.wait_for("document.querySelectorAll('td a.mark').length > 0");
     let first = browser.value("memtransfer.runs[0].episodes.length").as_u64().unwrap();
+    resume(running.id());
     Ended::of(running).expect(0);
     browser.wait_for("document.querySelectorAll('td a.mark').length === 360");
     assert!(first < 360, "{first}");
