@@ -111,7 +111,8 @@ impl Demand {
     ) -> Self {
         let remembered = demonstrations.demonstrations.iter().flat_map(|of| &of.views);
         let remembered = remembered.collect::<BTreeSet<_>>().len();
-        let shown = (episodes as u64).saturating_mul(u64::from(max_steps) + 1) + remembered as u64;
+        let steps = (episodes as u64).saturating_mul(u64::from(max_steps) + 1);
+        let shown = steps.saturating_add(remembered as u64);
         Self { all_views: self.all_views.min(shown.try_into().unwrap_or(u32::MAX)), ..self }
     }
 
