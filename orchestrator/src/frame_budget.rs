@@ -101,6 +101,21 @@ impl Demand {
         }
     }
 
+    /// The same for a run of so many `episodes`, which show a view a step at most, beside those of `demonstrations`. A world that
+    /// cannot count its views declares a million.
+    pub fn of_short_run(
+        self,
+        episodes: usize,
+        max_steps: u32,
+        demonstrations: &DemonstrationBook,
+    ) -> Self {
+        let remembered = demonstrations.demonstrations.iter().flat_map(|of| &of.views);
+        let remembered = remembered.collect::<BTreeSet<_>>().len();
+        let steps = (episodes as u64).saturating_mul(u64::from(max_steps) + 1);
+        let shown = steps.saturating_add(remembered as u64);
+        Self { all_views: self.all_views.min(shown.try_into().unwrap_or(u32::MAX)), ..self }
+    }
+
     /// The least number of frames that a world with so many lanes can run with.
     pub const fn least(&self, lanes: u32) -> u32 {
         lanes * self.per_lane + self.remembered
@@ -274,6 +289,18 @@ mod tests {
         let most = many.split(' ').nth(4).and_then(|word| word.parse().ok()).unwrap();
         assert_eq!(choose(&attach, DEMAND, Some(most), free, u64::MAX).unwrap(), most);
         assert!(choose(&attach, DEMAND, Some(most + 1), free, u64::MAX).is_err());
+    }
+
+    #[test]
+    fn a_short_run_uses_no_more_frames_than_it_shows() {
+        let SelectedCases { books, .. } = selected(&[("limit", "1")]);
+        let book = &books.demonstrations.book;
+        let views: BTreeSet<u32> =
+            book.demonstrations.iter().flat_map(|of| of.views.iter().copied()).collect();
+        let of_any_world = Demand { all_views: 1 << 20, ..DEMAND };
+        let short = of_any_world.of_short_run(3, 20, book);
+        assert_eq!(short, Demand { all_views: 3 * 21 + views.len() as u32, ..of_any_world });
+        assert_eq!(of_any_world.of_short_run(usize::MAX, u32::MAX, book), of_any_world);
     }
 
     #[test]

@@ -140,7 +140,11 @@ pub(crate) fn attach(
     };
     let most = (settings.keyframes, settings.memory_image_budget());
     let book = &books.cases.book;
-    let demand = Demand::of(&attach, (book, &books.demonstrations.book), episodes, most);
+    let demonstrations = &books.demonstrations.book;
+    let mut demand = Demand::of(&attach, (book, demonstrations), episodes, most);
+    if !settings.warm_views {
+        demand = demand.of_short_run(episodes.len(), settings.max_steps, demonstrations);
+    }
     let (free, _) = shared_memory_space().context("cannot tell how much shared memory is free")?;
     let given = settings.frame_budget;
     attach.frame_capacity = frame_budget::choose(&attach, demand, given, free, memory_available())?;

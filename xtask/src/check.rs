@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use crate::workspace::{Workspace, succeeds};
-use crate::{boundaries, citations, docs, features};
+use crate::{boundaries, citations, features};
 
 /// Runs all checks, also after one has failed. Returns whether all passed.
 pub(crate) fn run(workspace: &Workspace) -> anyhow::Result<bool> {
@@ -18,7 +18,6 @@ pub(crate) fn run(workspace: &Workspace) -> anyhow::Result<bool> {
     check("links between crates", boundaries::check(workspace)?);
     check("features of dependencies", features::check(workspace)?);
     check("citations", citations::resolve(workspace)?);
-    check("documents", docs::check(workspace)?);
     check("format", succeeds(&mut workspace.cargo(&["fmt", "--all", "--check"]))?);
     check("lints", succeeds(&mut lints(workspace))?);
     check("rustdoc", succeeds(&mut rustdoc(workspace))?);

@@ -75,7 +75,7 @@ enum Verb {
     Wheel,
     /// Check the documents and build them as a site with search into target/site
     Docs,
-    /// Check links between crates, features, citations, documents, format, lints and rustdoc
+    /// Check links between crates, features, citations, format, lints and rustdoc
     Check,
     /// What CI runs: `check`, `docs`, `test`, `drill --quick`
     Ci,

@@ -60,7 +60,7 @@ pub(super) struct PlanArgs {
     #[arg(long)]
     quiet: bool,
 
-    /// Start the commands that the suite's file names, as policy-cmd or memory-cmd, here and in the
+    /// Start the commands that the suite's file names (policy-cmd, memory-cmd, world-cmd), here and in the
     /// printed script; without this they are shown and refused
     #[arg(long)]
     allow_commands: bool,

@@ -55,16 +55,6 @@ impl Plate {
         let ([a, b, c], [d, e, f]) = (code(category), code(item_type));
         Self([a, b, c, d, e, f])
     }
-
-    /// Whether this is the plate of an item in `category`.
-    pub fn is_category(self, category: &str) -> bool {
-        self.0[..3] == code(category)
-    }
-
-    /// Whether this is the plate of an item of type `item_type`.
-    pub fn is_type(self, item_type: &str) -> bool {
-        self.0[3..] == code(item_type)
-    }
 }
 
 /// Three base-7 digits from a name: FNV-1a over its bytes, so any language can compute it.
@@ -76,17 +66,4 @@ pub fn code(name: &str) -> [u8; 3] {
         .fold(0x811c_9dc5_u32, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193));
     let n = hash % 343;
     [(n / 49) as u8, (n / 7 % 7) as u8, (n % 7) as u8]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_plate_matches_its_own_names_only() {
-        let plate = Plate::new("barrels", "blue barrel");
-        assert!(plate.is_category("barrels") && plate.is_type("blue barrel"));
-        assert!(!plate.is_category("cones") && !plate.is_type("red barrel"));
-        assert!(plate.0.iter().all(|&band| usize::from(band) < BAND_RGB.len()));
-    }
 }

@@ -3,7 +3,7 @@
 
 use std::borrow::Cow;
 
-use domain::{Cell, DemonstrationKind, Pose};
+use domain::{Cell, DemonstrationKind};
 
 use crate::case::{Case, CaseSet, History, TrajectoryKind};
 use crate::dynamics::Variant;
@@ -12,15 +12,6 @@ use crate::plan::{Planner, Prices};
 use crate::task::Task;
 use crate::trajectory::{Replay, Trajectory};
 use crate::world::Warehouse;
-
-/// Where a view is seen from: a pose in a variant of the world.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct Viewpoint {
-    /// The number of the variant on the wire.
-    pub variant: u32,
-    /// The pose.
-    pub pose: Pose,
-}
 
 /// A demonstration, and the world in which it takes place.
 #[derive(Debug, Clone)]
@@ -42,12 +33,6 @@ impl Demonstrated<'_> {
     pub fn replay(&self) -> Replay {
         let variant = Variant::closing(self.closed.iter().copied());
         self.trajectory.replay(self.warehouse, self.task, &variant)
-    }
-
-    /// Where its views are seen from, in order.
-    pub fn viewpoints(&self) -> impl Iterator<Item = Viewpoint> + use<> {
-        let variant = self.variant;
-        self.replay().poses.into_iter().map(move |pose| Viewpoint { variant, pose })
     }
 
     /// The instruction that it carries out.

@@ -1,7 +1,5 @@
 //! The demonstrations of a case that a set names, and the order in which demonstrations join banks.
 
-use std::collections::HashSet;
-
 use domain::{DemonstrationKind, Demonstrations, Mixture};
 
 use crate::case::{CaseSet, History};
@@ -46,13 +44,6 @@ impl CaseSet {
         found
     }
 
-    /// The `demonstrations` of all cases, each once, in the order of the cases.
-    pub fn histories_of_all(&self, demonstrations: Demonstrations) -> Vec<History> {
-        let mut known = HashSet::new();
-        let all = (0..self.cases.len()).flat_map(|case| self.histories(case, demonstrations));
-        all.filter(|history| known.insert(*history)).collect()
-    }
-
     /// The first `size` of the order of banks: what the bank of each case holds whose original demonstration is among them.
     pub fn common_bank(&self, size: u16) -> Vec<History> {
         let mut order = self.bank_order();
@@ -78,6 +69,8 @@ const BANK_STREAM: u64 = 3 << 56;
 
 #[cfg(test)]
 mod tests {
+    use std::collections::HashSet;
+
     use super::*;
 
     #[test]
@@ -132,7 +125,6 @@ mod tests {
             small.extend(bank(case, 16));
         }
         assert_eq!(bank(0, 401), []);
-        assert_eq!(small, set.histories_of_all(Demonstrations::bank(16)).into_iter().collect());
         // Every case's own, and the first fifteen or sixteen of the order.
         assert!((100..=116).contains(&small.len()), "{}", small.len());
     }

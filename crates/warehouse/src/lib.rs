@@ -65,7 +65,7 @@ pub use case_file::file_texts;
 pub use catalogue::{Catalogue, Category, ItemType, Shape};
 pub use constraints::MAX_DETOUR_PERCENT;
 pub use declaration::declaration;
-pub use demonstrated::{Demonstrated, Viewpoint};
+pub use demonstrated::Demonstrated;
 pub use dynamics::{Variant, step};
 pub use elsewhere::{ELSEWHERE_VARIANT, Elsewhere};
 pub use elsewhere_source::ElsewhereError;

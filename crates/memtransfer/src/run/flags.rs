@@ -90,8 +90,8 @@ pub(crate) struct RunOptions {
     #[arg(long)]
     pub(crate) dry_run: bool,
 
-    /// Start the commands that the suite's file names, as policy-cmd or memory-cmd; without this they are
-    /// shown and refused
+    /// Start the commands that the suite's file names (policy-cmd, memory-cmd, world-cmd); without this they
+    /// are shown and refused
     #[arg(long)]
     pub(crate) allow_commands: bool,
 
