@@ -166,9 +166,9 @@ impl RunLog {
         std::ptr::eq(self, other) || folder(self).is_some_and(|own| folder(other) == Some(own))
     }
 
-    /// Whether every planned episode is finished.
+    /// Whether every planned episode is finished, and none was given up.
     pub fn is_complete(&self) -> bool {
-        self.episodes.len() >= self.manifest.episodes as usize
+        self.errors.is_empty() && self.episodes.len() >= self.manifest.episodes as usize
     }
 
     /// When the run began, in seconds since 1970.

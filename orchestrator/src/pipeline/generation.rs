@@ -31,6 +31,9 @@ const SHORT_WAIT: Duration = Duration::from_millis(1);
 /// How long a policy or an external memory may take to end once it has closed its queues.
 const LEAVING_TIMEOUT: Duration = Duration::from_secs(2);
 
+/// Why a policy failed that takes no messages any more.
+pub(super) const POLICY_LEFT: &str = "the policy process has closed its queues and has not ended";
+
 /// One set of processes and what connects them.
 ///
 /// The fields are dropped in order: the processes end before the services they use.
@@ -275,6 +278,11 @@ impl Generation {
         Ok(reports)
     }
 
+    /// Whether the policy has closed its queues.
+    pub(super) fn has_policy_left(&self) -> bool {
+        self.policy_configs.as_ref().is_some_and(|configs| !configs.is_complete())
+    }
+
     /// The exit of a process, if one has exited or was interrupted: it is the cause of whatever else failed.
     ///
     /// A policy or an external memory closes its queues before its process ends. In between, the processes that could not
@@ -294,14 +302,13 @@ impl Generation {
                 return left;
             }
             failure = self.exited(options).unwrap_or(failure);
-            let has_policy_left = self.policy_configs.as_ref().is_some_and(|it| !it.is_complete());
+            let has_policy_left = self.has_policy_left();
             let may_leave = has_policy_left || !options.memories.is_empty();
             let exit = self.children.exited();
             let was_killed = exit.is_some_and(|exit| exit.status.signal().is_some());
             let is_settled = !matches!(failure, Failure::Retry(_)) || !may_leave || was_killed;
             if !is_settled && has_policy_left && Instant::now() >= deadline {
-                let left = "the policy process has closed its queues and has not ended";
-                return Failure::Of(Culpable::Policy, left.to_owned());
+                return Failure::Of(Culpable::Policy, POLICY_LEFT.to_owned());
             }
             if is_settled || Instant::now() >= deadline {
                 return failure;

@@ -6,7 +6,7 @@ use domain::MemoryKind;
 use shm_types::message::{ErrorReport, ErrorReportKind, Role, read_text};
 use shm_types::process::monotonic_ns;
 
-use super::generation::{Generation, role};
+use super::generation::{Generation, POLICY_LEFT, role};
 use super::startup::{is_started_by_user, of_unknown_sender, read_handshake, unexpected};
 use super::{Failure, MEMORY_BUILD_TIMEOUT, Participant, PipelineOptions, PipelineRun};
 use crate::lanes::PendingAnswer;
@@ -85,7 +85,10 @@ impl Generation {
             // A policy that meanwhile answered other episodes, or this one with something unusable, is alive: only
             // this episode is given up. A later answer to it is ignored.
             if role != Role::Policy || (self.decided_ns <= since_ns && unusable == 0) {
-                let why = format!("{overdue} and seems to hang");
+                let why = match role {
+                    Role::Policy if self.has_policy_left() => POLICY_LEFT.to_owned(),
+                    _ => format!("{overdue} and seems to hang"),
+                };
                 return Err(Failure::of(process, run.options, why));
             }
             let Some(episode) = run.lanes.give_up(lane) else { continue };
