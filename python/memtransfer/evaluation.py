@@ -218,11 +218,11 @@ def evaluate(
         **settings: The flags of `memtransfer run`, with underscores: see `Settings`.
 
     Raises:
-        RunError: The run could not begin, or not all episodes could be finished: the message is the run's own. If an object raised an
-            exception, it is the cause. Finished episodes are kept: `Result(out)` reads them.
+        RunError: The run could not begin, as with a memory whose name is not valid, or not all episodes could be finished: the message is
+            the run's own. If an object raised an exception, it is the cause. Finished episodes are kept: `Result(out)` reads them.
         KeyboardInterrupt: The run was interrupted. It has stopped cleanly, and the same call resumes it. A second interrupt ends it at once.
         TypeError: There is no such setting, an argument is of the wrong type, or a memory cannot be copied: pass its class.
-        ValueError: Two memories have the same name, or an attribute of a memory is not valid.
+        ValueError: Two memories have the same name, `memory` is empty, or a memory's `scope` is not valid.
     """
     if os.environ.get(ATTACH):
         raise RunError(f"this process was started by a run, which {ATTACH} names: serve it with `run`, not `evaluate`")

@@ -136,7 +136,7 @@ impl RunLog {
         told.chain(self.episodes.iter().map(|one| (one.case.as_str(), one.task))).collect()
     }
 
-    /// What two runs must have in common for their figures to be comparable: [that of their manifests](Manifest::protocol), and
+    /// What two runs must have in common for their figures to be comparable: that of their manifests, and
     /// of a world that does not hash what its cases are made from, its name and the cases.
     pub fn protocol(&self) -> BTreeMap<String, Value> {
         let mut protocol = self.manifest.protocol();

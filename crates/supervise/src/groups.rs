@@ -45,10 +45,10 @@ impl Group {
         Self::start_in(command, None)
     }
 
-    /// As [`Self::start`]; the group is also killed when this program ends in any way, `kill -9` included.
+    /// Starts `command`. The group is also killed when this program ends in any way, `kill -9` included.
     ///
     /// # Errors
-    /// As [`Self::start`].
+    /// When the system refuses.
     pub fn start_watched(command: &mut Command) -> io::Result<Self> {
         let watchdog = Watchdog::start()?;
         Self::start_in(command, Some(watchdog))
