@@ -286,7 +286,7 @@ def _memory_flags(
     flags: list[str] = []
     names: list[str] = []
     several = [memory] if isinstance(memory, str) or is_memory(memory) else _sequence_of("memory", memory)
-    if not all(not isinstance(one, str) or one.strip() for one in several) or not several:
+    if not several or any(isinstance(one, str) and not one.strip() for one in several):
         raise ValueError(f"memory is {memory!r}, which names none: leave it out for the built-in ones")
     for one in several:
         if is_memory(one):

@@ -212,7 +212,7 @@ mod tests {
 
     #[test]
     fn long_text_is_broken_where_the_table_is_wider_than_a_line() {
-        let of = |text: usize| Table {
+        let table_with_text = |length: usize| Table {
             id: "t".to_owned(),
             caption: String::new(),
             stubs: vec!["Condition".to_owned()],
@@ -221,12 +221,15 @@ mod tests {
                 label: None,
                 rows: vec![TableRow::new(
                     "0123456789",
-                    vec![TableCell::Value("0.500".to_owned()), TableCell::Value("x".repeat(text))],
+                    vec![
+                        TableCell::Value("0.500".to_owned()),
+                        TableCell::Value("x".repeat(length)),
+                    ],
                 )],
             }],
         };
         // 10 + 5 + 3 gaps of 2 leave 69 of 90.
-        assert_eq!(alignment(&of(69)), "lrl");
-        assert_eq!(alignment(&of(70)), r"lrp{0.77\linewidth}");
+        assert_eq!(alignment(&table_with_text(69)), "lrl");
+        assert_eq!(alignment(&table_with_text(70)), r"lrp{0.77\linewidth}");
     }
 }

@@ -122,17 +122,6 @@ pub fn in_short(names: &[String]) -> String {
     }
 }
 
-/// Compares two conditions, each by its name in the log, of one run or of two. No other comparison is made with it.
-///
-/// # Errors
-/// As [`pair_conditions`].
-pub fn compare_conditions(
-    a: (&RunLog, &str),
-    b: (&RunLog, &str),
-) -> Result<Comparison, CompareError> {
-    pair_conditions(a, b).map(Pairing::alone)
-}
-
 /// Pairs two conditions, each by its name in the log, of one run or of two.
 ///
 /// # Errors
@@ -458,7 +447,7 @@ mod tests {
         let error = compare_runs(&run, &run).unwrap_err();
         insta::assert_snapshot!(error, @"run cannot be compared with itself");
         let name = run.episodes[0].condition().to_string();
-        let error = compare_conditions((&run, &name), (&run, &name)).unwrap_err();
+        let error = pair_conditions((&run, &name), (&run, &name)).unwrap_err();
         assert_eq!(error.to_string(), format!("{name} cannot be compared with itself"));
     }
 }

@@ -117,7 +117,7 @@ impl Conclusion {
 
     fn in_words(&self, tested: &Tested, least_cases: Option<u32>) -> String {
         let Tested { counts, cases, points, .. } = *tested;
-        let found = match self.verdict {
+        let verdict = match self.verdict {
             ComparisonVerdict::Better => "Better",
             ComparisonVerdict::Worse => "Worse",
             ComparisonVerdict::NoDifferenceShown => "No difference shown",
@@ -134,15 +134,15 @@ impl Conclusion {
         let Counts { more_under_a: better, more_under_b: worse } = counts;
         // With several repetitions the cases may say other than their mean.
         let is_opposed = (better > worse && points < 0.0) || (better < worse && points > 0.0);
-        let found = match is_opposed {
-            false => format!("{found}: {difference} points, {corrected}{p}."),
+        let finding = match is_opposed {
+            false => format!("{verdict}: {difference} points, {corrected}{p}."),
             true => format!(
-                "{found}: {better} cases are better and {worse} worse, although the mean difference is {difference} points; \
+                "{verdict}: {better} cases are better and {worse} worse, although the mean difference is {difference} points; \
                  {corrected}{p}."
             ),
         };
         if self.verdict != ComparisonVerdict::NoDifferenceShown {
-            return found;
+            return finding;
         }
         let would_be_shown = match (self.detectable, least_cases) {
             (Some(points), _) => {
@@ -159,7 +159,7 @@ impl Conclusion {
             None if better == worse => "as many cases are better as worse".to_owned(),
             None => format!("to show {observed} would take more than {MOST_CASES} cases"),
         };
-        format!("{found} {would_be_shown}; {needed}.")
+        format!("{finding} {would_be_shown}; {needed}.")
     }
 }
 

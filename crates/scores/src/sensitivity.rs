@@ -30,11 +30,13 @@ pub(super) fn sensitivity(log: &RunLog) -> Vec<Sensitivity> {
         Some(((condition, mismatched.mismatch), pairing))
     };
     let mismatched = trials.keys().filter(|condition| condition.mismatch != Mismatch::None);
-    let mut found: Vec<_> = mismatched.filter_map(of).collect();
-    found.sort_by_key(|(key, _)| *key);
-    let (keys, pairings): (Vec<_>, Vec<_>) = found.into_iter().unzip();
-    let made = keys.into_iter().zip(conclude(pairings));
-    made.map(|((condition, mismatch), loss)| Sensitivity { condition, mismatch, loss }).collect()
+    let mut losses: Vec<_> = mismatched.filter_map(of).collect();
+    losses.sort_by_key(|(key, _)| *key);
+    let (keys, pairings): (Vec<_>, Vec<_>) = losses.into_iter().unzip();
+    keys.into_iter()
+        .zip(conclude(pairings))
+        .map(|((condition, mismatch), loss)| Sensitivity { condition, mismatch, loss })
+        .collect()
 }
 
 #[cfg(test)]

@@ -170,17 +170,16 @@ fn doubts(view: &ScoredRun<'_>) -> Vec<String> {
          true of them."
             .to_owned()
     });
-    let known: BTreeSet<String> =
+    let told_groups: BTreeSet<String> =
         view.log.world.groups.iter().map(|group| group_key(&group.name)).collect();
     let keys: BTreeSet<&String> = conditions.iter().flat_map(|one| one.groups.keys()).collect();
     let unknown: Vec<&str> =
-        keys.into_iter().filter(|key| !known.contains(*key)).map(String::as_str).collect();
+        keys.into_iter().filter(|key| !told_groups.contains(*key)).map(String::as_str).collect();
     let groups = (!unknown.is_empty()).then(|| {
-        let known: Vec<String> = known.into_iter().collect();
         format!(
             "The world of this run has no task group {}; it has {}.",
             unknown.join(", "),
-            known.join(", ")
+            Vec::from_iter(told_groups).join(", ")
         )
     });
     fractions.into_iter().chain(groups).collect()

@@ -53,20 +53,20 @@ fn the_whole_interval_decides_also_at_its_ends() {
         (&all, "spl >= 0.8", "undecided"),
         (&all, "spl >= 0.9", "failed"),
     ] {
-        let found = check(log, &format!("{EPISODIC}: {required}"));
-        assert_eq!(found.verdict.name(), verdict, "{}: {required}: {found:?}", log.name);
-        assert_eq!(found.reason, None);
-        assert_eq!(found.gate(), format!("{EPISODIC}: {required}"));
-        assert_eq!(found.cases, 50);
+        let result = check(log, &format!("{EPISODIC}: {required}"));
+        assert_eq!(result.verdict.name(), verdict, "{}: {required}: {result:?}", log.name);
+        assert_eq!(result.reason, None);
+        assert_eq!(result.gate(), format!("{EPISODIC}: {required}"));
+        assert_eq!(result.cases, 50);
     }
 }
 
 #[test]
 fn what_was_not_measured_in_full_is_undecided() {
     let undecided = |log: &RunLog, required: &str| {
-        let found = check(log, &format!("{EPISODIC}: {required}"));
-        assert_eq!(found.verdict, Verdict::Undecided, "{found:?}");
-        found.reason.unwrap()
+        let result = check(log, &format!("{EPISODIC}: {required}"));
+        assert_eq!(result.verdict, Verdict::Undecided, "{result:?}");
+        result.reason.unwrap()
     };
     let mut whole = run("run", 50, 50);
     assert_eq!(check(&whole, &format!("{EPISODIC}: sr >= 50")).verdict, Verdict::Passed);
@@ -83,14 +83,14 @@ fn what_was_not_measured_in_full_is_undecided() {
 
     let blocked = "episodic/new/blocked/original".parse().unwrap();
     let log = log((0..9).map(|case| under(blocked, record(&format!("c{case}"), true))).collect());
-    let found = check(&named("run", log), "episodic/new/blocked/original: retention >= 0.5");
-    insta::assert_snapshot!(found.reason.unwrap(), @"it was not measured or is not defined");
+    let result = check(&named("run", log), "episodic/new/blocked/original: retention >= 0.5");
+    insta::assert_snapshot!(result.reason.unwrap(), @"it was not measured or is not defined");
 
     // A condition of the settings that has no episode yet.
     let mut begun = run("run", 5, 5);
     begun.manifest.settings = settings();
-    let found = check(&begun, "working/new/unchanged/none: sr >= 2");
-    insta::assert_snapshot!(found.reason.unwrap(), @"no episode is finished");
+    let result = check(&begun, "working/new/unchanged/none: sr >= 2");
+    insta::assert_snapshot!(result.reason.unwrap(), @"no episode is finished");
 }
 
 #[test]
@@ -204,19 +204,19 @@ fn a_run_is_no_worse_than_itself_if_it_has_enough_cases() {
         (1, 100.0, "undecided"),
     ] {
         let log = run("run", cases / 2, cases);
-        let found = only(compared(&log, &log.clone(), margin));
-        assert_eq!(found.verdict.name(), verdict, "{cases} {margin}: {found:?}");
-        assert_eq!(found.value, Some(0.0));
+        let result = only(compared(&log, &log.clone(), margin));
+        assert_eq!(result.verdict.name(), verdict, "{cases} {margin}: {result:?}");
+        assert_eq!(result.value, Some(0.0));
     }
 }
 
 #[test]
 fn the_whole_interval_of_the_difference_decides() {
     let (good, bad) = (run("good", 100, 100), run("bad", 0, 100));
-    let found = only(compared(&bad, &good, 5.0));
-    assert_eq!((found.verdict, found.value), (Verdict::Failed, Some(-100.0)));
-    let found = only(compared(&good, &bad, 5.0));
-    assert_eq!((found.verdict, found.value), (Verdict::Passed, Some(100.0)));
+    let result = only(compared(&bad, &good, 5.0));
+    assert_eq!((result.verdict, result.value), (Verdict::Failed, Some(-100.0)));
+    let result = only(compared(&good, &bad, 5.0));
+    assert_eq!((result.verdict, result.value), (Verdict::Passed, Some(100.0)));
     // -10 with ten cases that lost: m = -1000 / 102 = -9.804, and the squares 10 * 90.196^2 + 90 * 9.804^2 + 109.804^2 +
     // 90.196^2 = 110196, so the half width is 1.984 * sqrt(110196 / (101 * 102)) = 6.489: [-16.29, -3.31].
     let less = run("less", 90, 100);
@@ -227,11 +227,11 @@ fn the_whole_interval_of_the_difference_decides() {
         (3.3, "failed"),
         (0.0, "failed"),
     ] {
-        let found = only(compared(&less, &good, margin));
-        assert_eq!(found.verdict.name(), verdict, "{margin}: {found:?}");
+        let result = only(compared(&less, &good, margin));
+        assert_eq!(result.verdict.name(), verdict, "{margin}: {result:?}");
     }
-    let found = only(compared(&less, &good, 5.0));
-    assert_eq!(found.gate(), format!("{EPISODIC}: sr minus good's > -5"));
+    let result = only(compared(&less, &good, 5.0));
+    assert_eq!(result.gate(), format!("{EPISODIC}: sr minus good's > -5"));
 }
 
 #[test]
@@ -243,11 +243,11 @@ fn a_hundred_cases_of_which_few_change_are_enough_for_the_margin() {
         let before = run("before", 50, 100);
         let after = (0..100)
             .map(|case| record(&format!("c{case:03}"), (changed..50 + changed).contains(&case)));
-        let found = only(compared(&named("after", log(after.collect())), &before, margin));
+        let result = only(compared(&named("after", log(after.collect())), &before, margin));
         assert_eq!(
-            (found.verdict.name(), found.value),
+            (result.verdict.name(), result.value),
             (verdict, Some(0.0)),
-            "{changed}: {found:?}"
+            "{changed}: {result:?}"
         );
     }
 }
@@ -256,24 +256,24 @@ fn a_hundred_cases_of_which_few_change_are_enough_for_the_margin() {
 fn runs_with_unequal_cases_are_compared_on_those_that_both_have() {
     // The cases that only one side has are the first ones, all of them lost there.
     let (more, fewer) = (run("more", 100, 140), run("fewer", 100, 100));
-    let found = only(compared(&more, &fewer, 5.0));
-    assert_eq!((found.verdict, found.cases, found.value), (Verdict::Passed, 100, Some(0.0)));
-    let found = only(compared(&fewer, &more, 5.0));
-    assert_eq!((found.verdict, found.cases, found.value), (Verdict::Passed, 100, Some(0.0)));
+    let result = only(compared(&more, &fewer, 5.0));
+    assert_eq!((result.verdict, result.cases, result.value), (Verdict::Passed, 100, Some(0.0)));
+    let result = only(compared(&fewer, &more, 5.0));
+    assert_eq!((result.verdict, result.cases, result.value), (Verdict::Passed, 100, Some(0.0)));
     let few = run("few", 20, 20);
-    let found = only(compared(&few, &fewer, 5.0));
-    assert_eq!((found.verdict, found.cases), (Verdict::Undecided, 20));
+    let result = only(compared(&few, &fewer, 5.0));
+    assert_eq!((result.verdict, result.cases), (Verdict::Undecided, 20));
 
     let others = (0..9).map(|case| record(&format!("d{case}"), true)).collect();
-    let found = only(compared(&named("others", log(others)), &fewer, 5.0));
-    insta::assert_snapshot!(found.reason.unwrap(), @"no case and repetition in common");
+    let result = only(compared(&named("others", log(others)), &fewer, 5.0));
+    insta::assert_snapshot!(result.reason.unwrap(), @"no case and repetition in common");
     let mut stopped = run("stopped", 100, 100);
     stopped.manifest.episodes = 120;
     for [a, b] in [[&stopped, &fewer], [&fewer, &stopped]] {
-        let found = only(compared(a, b, 5.0));
-        assert_eq!(found.verdict, Verdict::Undecided);
+        let result = only(compared(a, b, 5.0));
+        assert_eq!(result.verdict, Verdict::Undecided);
         insta::allow_duplicates! {
-            insta::assert_snapshot!(found.reason.unwrap(), @"20 of 120 episodes are missing in stopped");
+            insta::assert_snapshot!(result.reason.unwrap(), @"20 of 120 episodes are missing in stopped");
         }
     }
 }
@@ -291,8 +291,8 @@ fn every_condition_of_the_other_run_is_required() {
     );
     let both = named("both", log(records));
     let one = run("one", 100, 100);
-    let found = compared(&one, &both, 5.0);
-    let verdicts: Vec<_> = found.iter().map(|one| (one.condition.clone(), one.verdict)).collect();
+    let results = compared(&one, &both, 5.0);
+    let verdicts: Vec<_> = results.iter().map(|one| (one.condition.clone(), one.verdict)).collect();
     assert_eq!(
         verdicts,
         [
@@ -300,7 +300,7 @@ fn every_condition_of_the_other_run_is_required() {
             (other.condition().to_string(), Verdict::Undecided),
         ]
     );
-    assert_eq!(found[1].reason.as_deref(), Some("one does not have this condition"));
+    assert_eq!(results[1].reason.as_deref(), Some("one does not have this condition"));
     // What only this run has requires nothing.
     assert_eq!(compared(&both, &one, 5.0).len(), 1);
 
